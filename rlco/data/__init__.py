@@ -1,0 +1,11 @@
+"""Demonstrations (LeRobot data sets <-> TensorDict) and the sim-real mix."""
+
+from __future__ import annotations
+
+from rlco.data.demos import DemoMeta as DemoMeta
+from rlco.data.demos import DemoReplayBuffer as DemoReplayBuffer
+from rlco.data.demos import load_demos as load_demos
+from rlco.data.instructions import InstructionText as InstructionText
+from rlco.data.quantiles import exact_quantiles as exact_quantiles
+from rlco.data.recording import DemoWriter as DemoWriter
+from rlco.data.sim_real_buffer import SimRealReplayBuffer as SimRealReplayBuffer

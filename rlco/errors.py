@@ -1,0 +1,87 @@
+"""Errors that a user can cause; each builds its own one-sentence message.
+
+A message says what was given, what is allowed, and what to do. Recipes print it
+without a traceback and exit with status 2.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+
+
+class RlcoError(ValueError):
+    """Base of every error that wrong input can cause."""
+
+
+def suggest(given: str, allowed: Iterable[str]) -> str:
+    """Return ``" (did you mean 'x'?)"`` for a near miss, else an empty string.
+
+    Example:
+        >>> suggest("sim_ration", ["sim_ratio", "seed"])
+        " (did you mean 'sim_ratio'?)"
+    """
+    near = difflib.get_close_matches(given, list(allowed), n=1)
+    return f" (did you mean {near[0]!r}?)" if near else ""
+
+
+class UnknownNameError(RlcoError):
+    """A name that is not among the known ones.
+
+    Example:
+        >>> str(UnknownNameError("task", "push_cub", ["push_cube"]))
+        "unknown task 'push_cub' (did you mean 'push_cube'?); known: push_cube."
+    """
+
+    def __init__(self, kind: str, given: str, allowed: Sequence[str]) -> None:
+        super().__init__(
+            f"unknown {kind} {given!r}{suggest(given, allowed)}; "
+            f"known: {', '.join(allowed)}."
+        )
+
+
+class ConfigError(RlcoError):
+    """One or more problems in a recipe's options, all reported together."""
+
+    def __init__(self, problems: Sequence[str]) -> None:
+        self.problems = tuple(problems)
+        super().__init__("; ".join(problems) + ".")
+
+
+class DataError(RlcoError):
+    """A data set that cannot be used as it is."""
+
+
+class OutputExistsError(RlcoError):
+    """An output folder that exists already; nothing in it was touched."""
+
+    def __init__(self, path: object) -> None:
+        super().__init__(
+            f"output folder {str(path)!r} exists and is not overwritten; "
+            "give another out=DIR, or resume=DIR to continue that run."
+        )
+
+
+class CheckpointError(RlcoError):
+    """A checkpoint that does not fit what it is loaded into."""
+
+
+class RenderingError(RlcoError):
+    """No OpenGL library to render with."""
+
+    def __init__(self, backend: str, reason: str) -> None:
+        super().__init__(
+            f"cannot render with MUJOCO_GL={backend!r} ({reason}); install the Debian "
+            "packages libegl1 libgl1-mesa-dri libosmesa6 and set MUJOCO_GL=egl or "
+            "MUJOCO_GL=osmesa, or go on without images and video."
+        )
+
+
+class SimulationError(RlcoError):
+    """A simulation that diverged."""
+
+    def __init__(self, task: str, environments: Sequence[int]) -> None:
+        super().__init__(
+            f"the simulation of {task!r} diverged (NaN) in environments "
+            f"{list(environments)}; check the model's masses, gains and time step."
+        )

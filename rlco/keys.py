@@ -1,0 +1,59 @@
+"""Every TensorDict key of rlco, once, as plain tuples and strings.
+
+TorchRL's VLA schema (``torchrl.data.vla.schema``) supplies the name wherever it
+has one; the rest follows LeRobot's words. This module imports no torch, so that
+every layer may use it.
+
+Axes: ``B`` a batch of decisions, ``N`` environments, ``T`` decisions in time,
+``H`` the steps of an action chunk, ``A`` action numbers (7: delta position 3,
+delta rotation 3, gripper 1, each in [-1, 1]), ``S`` and ``E`` features.
+"""
+
+from __future__ import annotations
+
+# -- What the policy sees ------------------------------------------------------
+OBSERVATION = "observation"
+#: Robot proprioception, float32 [*B, S], in the units that the task's
+#: ``state_names`` give (metres, radians).
+STATE = ("observation", "state")
+#: Object and goal positions as the camera would report them, float32 [*B, E], [m].
+ENVIRONMENT_STATE = ("observation", "environment_state")
+#: One camera frame, uint8 [*B, C, H, W]; absent where there is no camera.
+IMAGE = ("observation", "image")
+#: The instruction as text: a non-tensor at the root, one string a row.
+INSTRUCTION = "language_instruction"
+#: The instruction as its index in the task's list of instructions, int64 [*B].
+#: Losses read this one: strings break torch.compile.
+INSTRUCTION_ID = "instruction_id"
+
+# -- What it does --------------------------------------------------------------
+#: What the environment executes, float32: [*B, A], or [*B, H, A] with chunks.
+ACTION = "action"
+#: The demonstrated (or executed) action chunk, raw units, float32 [*B, H, A].
+CHUNK = ("vla_action", "chunk")
+#: The policy's own sample whose log-probability PPO recomputes; its shape and
+#: units belong to the policy (Gaussian: normalised chunk [*B, H, A]).
+SAMPLE = ("vla_action", "sample")
+#: Log-probability of one decision's sample in the normalised action space, [*B].
+LOG_PROB = ("vla_action", "log_probs")
+#: True where a chunk reaches past its episode's end, bool [*B, H]. Padded steps
+#: repeat the last action and count in no loss.
+IS_PAD = "action_is_pad"
+
+# -- What came of it -----------------------------------------------------------
+#: Sum of the rewards of the executed control steps, float32 [*B, 1].
+REWARD = "reward"
+DONE = "done"
+TERMINATED = "terminated"
+TRUNCATED = "truncated"
+#: Whether the task is solved in this very state, bool [*B, 1].
+SUCCESS = "success"
+
+# -- What the learner adds -----------------------------------------------------
+ADVANTAGE = "advantage"  # float32 [*B, 1]
+VALUE_TARGET = "value_target"  # float32 [*B, 1]
+STATE_VALUE = "state_value"  # float32 [*B, 1]
+
+# -- The two roots of a training batch -----------------------------------------
+SIM = "sim"
+REAL = "real"

@@ -1,0 +1,16 @@
+"""LeRobot folders (v2.1 and v3) read and checked without torch or lerobot.
+
+``read_folder`` reads the metadata, ``read_columns`` the numbers and
+``iterate_images`` the pictures, PNG or video. Every defect raises ``DataError``.
+"""
+
+from __future__ import annotations
+
+from rlco.lerobot_files.columns import read_columns as read_columns
+from rlco.lerobot_files.folder import UNFINISHED_MARK as UNFINISHED_MARK
+from rlco.lerobot_files.folder import read_folder as read_folder
+from rlco.lerobot_files.images import iterate_images as iterate_images
+from rlco.lerobot_files.schema import Episode as Episode
+from rlco.lerobot_files.schema import Feature as Feature
+from rlco.lerobot_files.schema import LeRobotFolder as LeRobotFolder
+from rlco.lerobot_files.schema import VideoSpan as VideoSpan

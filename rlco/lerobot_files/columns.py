@@ -1,0 +1,151 @@
+"""The numbers of a LeRobot folder: each parquet file is read once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pyarrow as pa
+
+from rlco.errors import DataError
+from rlco.lerobot_files.schema import Episode, Feature, LeRobotFolder
+from rlco.lerobot_files.tables import read_table
+
+Array = npt.NDArray[np.generic]
+
+
+def read_columns(folder: LeRobotFolder, names: Iterable[str]) -> dict[str, Array]:
+    """Read numeric features of all the folder's episodes, one after the other.
+
+    Args:
+        folder: What ``read_folder`` returned.
+        names: Features, by their names after renaming.
+
+    Returns:
+        One array a name: shape (frames, *feature shape), without the last axis
+        where the feature is one number, in the data set's dtype and units.
+
+    Raises:
+        DataError: A feature is missing or no number, a file is damaged, a value is
+            missing, NaN or infinite, or the frames are not those listed.
+    """
+    features = {name: folder.feature(name) for name in names}
+    for name, feature in features.items():
+        if feature.is_camera or feature.dtype in ("string", "language"):
+            raise DataError(
+                f"feature {name!r} of data set {str(folder.path)!r} is of type "
+                f"{feature.dtype!r} and holds no numbers."
+            )
+    by_file: dict[Path, list[Episode]] = {}
+    for episode in folder.episodes:
+        by_file.setdefault(episode.data_file, []).append(episode)
+    parts: dict[int, dict[str, Array]] = {}
+    for file, episodes in by_file.items():
+        parts |= _read_file(file, episodes, features)
+    columns = {
+        name: np.concatenate(
+            [parts[episode.index][name] for episode in folder.episodes]
+        )
+        for name in features
+    }
+    for name, column in columns.items():
+        _check_finite(folder, name, column)
+    return columns
+
+
+def _read_file(
+    file: Path, episodes: Sequence[Episode], features: dict[str, Feature]
+) -> dict[int, dict[str, Array]]:
+    table = read_stored_columns(file, [f.stored_name for f in features.values()])
+    arrays = {
+        name: _to_array(file, table[feature.stored_name], feature)
+        for name, feature in features.items()
+    }
+    rows = episode_rows(file, table, episodes)
+    return {
+        index: {name: array[where] for name, array in arrays.items()}
+        for index, where in rows.items()
+    }
+
+
+def read_stored_columns(file: Path, stored_names: Sequence[str]) -> pa.Table:
+    """Read columns by their names in the file, with those that index frames.
+
+    Raises:
+        DataError: The file is damaged or lacks a column.
+    """
+    asked = list(dict.fromkeys([*stored_names, "episode_index", "frame_index"]))
+    table = read_table(file, asked)
+    lacking = [name for name in asked if name not in table.column_names]
+    if lacking:
+        raise DataError(f"file {str(file)!r} has no column {', '.join(lacking)}.")
+    return table
+
+
+def episode_rows(
+    file: Path, table: pa.Table, episodes: Sequence[Episode]
+) -> dict[int, npt.NDArray[np.int64]]:
+    """Return each episode's rows of a table, in the order of its frames.
+
+    Raises:
+        DataError: An episode has other frames than its metadata say.
+    """
+    episode = np.asarray(table["episode_index"].to_numpy())
+    frame = np.asarray(table["frame_index"].to_numpy())
+    order = np.lexsort((frame, episode))
+    ordered = episode[order]
+    rows = {}
+    for entry in episodes:
+        start, stop = np.searchsorted(ordered, [entry.index, entry.index + 1])
+        where = order[start:stop]
+        if not np.array_equal(frame[where], np.arange(entry.length)):
+            raise DataError(
+                f"episode {entry.index} in file {str(file)!r} holds {len(where)} "
+                f"frames, not exactly the frames 0 to {entry.length - 1} that the "
+                "metadata list; copy the data set again, or leave the episode out."
+            )
+        rows[entry.index] = where
+    return rows
+
+
+def _to_array(file: Path, column: pa.ChunkedArray, feature: Feature) -> Array:
+    values = column.combine_chunks()
+    rows = len(values)
+    nulls = int(values.null_count)
+    while pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type):
+        values = values.flatten()
+        nulls += int(values.null_count)
+    name = feature.stored_name
+    if nulls:
+        raise DataError(f"column {name!r} of file {str(file)!r} has missing values.")
+    flat = np.asarray(values.to_numpy(zero_copy_only=False))
+    if flat.dtype.kind not in "fiub":
+        raise DataError(
+            f"column {name!r} of file {str(file)!r} holds {values.type}, not numbers."
+        )
+    if flat.size != rows * feature.size:
+        raise DataError(
+            f"column {name!r} of file {str(file)!r} holds {flat.size / max(rows, 1):g} "
+            f"numbers a frame, but meta/info.json says {feature.size}."
+        )
+    return flat.reshape(rows, *(() if feature.shape == (1,) else feature.shape))
+
+
+def _check_finite(folder: LeRobotFolder, name: str, column: Array) -> None:
+    if column.dtype.kind != "f":
+        return
+    bad = ~np.isfinite(column).reshape(len(column), -1).all(axis=1)
+    if not bad.any():
+        return
+    row = int(bad.argmax())
+    ends = np.cumsum([episode.length for episode in folder.episodes])
+    which = int(np.searchsorted(ends, row, side="right"))
+    episode = folder.episodes[which]
+    raise DataError(
+        f"feature {name!r} of data set {str(folder.path)!r} is NaN or infinite in "
+        f"{int(bad.sum())} of {len(column)} frames, first in episode {episode.index} "
+        f"at frame {row - int(ends[which]) + episode.length}; mend it, or leave the "
+        "episode out with episodes=."
+    )

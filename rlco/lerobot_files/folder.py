@@ -1,0 +1,161 @@
+"""The metadata of a LeRobot folder: read, checked, made uniform over versions."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from rlco.errors import DataError, suggest
+from rlco.lerobot_files.episodes import (
+    episodes_v2,
+    episodes_v3,
+    raise_unfinished,
+    select,
+    tasks_v2,
+    tasks_v3,
+)
+from rlco.lerobot_files.schema import Feature, LeRobotFolder
+
+#: Lies in a folder from the first moment of its recording to the last.
+UNFINISHED_MARK = "meta/unfinished"
+
+
+def read_folder(
+    path: str | Path,
+    *,
+    episodes: Iterable[int] | None = None,
+    rename: Mapping[str, str] | None = None,
+) -> LeRobotFolder:
+    """Read and check the metadata of a local LeRobot folder, v2.1 or v3.
+
+    Nothing is downloaded, and neither numbers nor pictures are read yet.
+
+    Args:
+        path: The folder that holds ``meta/info.json``.
+        episodes: Episode indices to read, in this order; None for all.
+        rename: ``{"their.name": "our.name"}`` for features named otherwise.
+
+    Raises:
+        DataError: The folder is missing, is no LeRobot folder, is of another
+            version, was never finished, is damaged, or lacks files of an episode.
+
+    Example:
+        >>> read_folder("no/such/folder")
+        Traceback (most recent call last):
+        ...
+        rlco.errors.DataError: data set folder 'no/such/folder' does not exist; ...
+    """
+    path = Path(path)
+    if not path.is_dir():
+        raise DataError(
+            f"data set folder {str(path)!r} does not exist; give the folder that holds "
+            "meta/info.json (data sets are read from disk, never downloaded)."
+        )
+    info = _read_info(path)
+    version = _supported_version(path, info)
+    if (path / UNFINISHED_MARK).exists():
+        raise_unfinished(
+            path,
+            "its writer never reached its end; if the episodes saved until then are "
+            f"enough and its parquet files are whole, delete {UNFINISHED_MARK}",
+        )
+    features = _features(path, info)
+    videos = [name for name, f in features.items() if f.dtype == "video"]
+    list_episodes = episodes_v2 if version == "v2.1" else episodes_v3
+    listed = list_episodes(path, info, videos)
+    if not listed:
+        raise DataError(
+            f"data set {str(path)!r} holds no episodes; record or copy it again."
+        )
+    return LeRobotFolder(
+        path=path,
+        version=version,
+        fps=float(info["fps"]),
+        robot_type=info.get("robot_type"),
+        features=_rename(path, features, rename or {}),
+        tasks=tasks_v2(path) if version == "v2.1" else tasks_v3(path),
+        episodes=select(path, listed, episodes),
+    )
+
+
+def _read_info(path: Path) -> dict[str, Any]:
+    file = path / "meta" / "info.json"
+    if not file.is_file():
+        raise DataError(
+            f"folder {str(path)!r} is not a LeRobot data set: it has no meta/info.json."
+        )
+    try:
+        info = json.loads(file.read_text())
+    except ValueError as error:
+        raise DataError(f"file {str(file)!r} is not valid JSON ({error}).") from None
+    lacking = [
+        key
+        for key in ("codebase_version", "fps", "features")
+        if not isinstance(info, dict) or not info.get(key)
+    ]
+    if lacking:
+        raise DataError(f"file {str(file)!r} lacks {', '.join(lacking)}.")
+    return dict(info)
+
+
+def _supported_version(path: Path, info: dict[str, Any]) -> str:
+    version = str(info["codebase_version"])
+    if version != "v2.1" and not version.startswith("v3."):
+        raise DataError(
+            f"data set {str(path)!r} has LeRobot version {version!r}; v2.1 and v3 are "
+            "read, so convert it with LeRobot's own conversion scripts first."
+        )
+    return version
+
+
+def _features(path: Path, info: dict[str, Any]) -> dict[str, Feature]:
+    features = {}
+    for name, entry in info["features"].items():
+        try:
+            shape = tuple(int(n) for n in entry["shape"])
+            feature = Feature(name, str(entry["dtype"]), shape)
+        except (KeyError, TypeError, ValueError):
+            raise DataError(
+                f"feature {name!r} of data set {str(path)!r} has no proper dtype and "
+                f"shape in meta/info.json: {entry!r}."
+            ) from None
+        names = tuple(_flat_names(entry.get("names")))
+        # Pictures name their axes, not their numbers.
+        if len(names) == feature.size and not feature.is_camera:
+            feature = replace(feature, names=names)
+        features[name] = feature
+    return features
+
+
+def _flat_names(names: Any) -> Iterable[str]:
+    # Recorders write a list, a list in a list, or a mapping of group to list.
+    if isinstance(names, str):
+        yield names
+    elif isinstance(names, Mapping):
+        grouped = any(isinstance(group, list) for group in names.values())
+        yield from _flat_names(list(names.values() if grouped else names))
+    elif isinstance(names, list):
+        for entry in names:
+            yield from _flat_names(entry)
+
+
+def _rename(
+    path: Path, features: dict[str, Feature], rename: Mapping[str, str]
+) -> dict[str, Feature]:
+    for theirs, ours in rename.items():
+        if theirs not in features:
+            raise DataError(
+                f"rename names feature {theirs!r}{suggest(theirs, features)}, which "
+                f"data set {str(path)!r} does not have; it has {', '.join(features)}."
+            )
+        if ours in features and ours not in rename:
+            raise DataError(
+                f"rename would give data set {str(path)!r} a second {ours!r}; rename "
+                "the one it has as well."
+            )
+    if len(set(rename.values())) < len(rename):
+        raise DataError(f"rename gives one name to several features: {dict(rename)!r}.")
+    return {rename.get(name, name): feature for name, feature in features.items()}

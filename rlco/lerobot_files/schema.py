@@ -1,0 +1,116 @@
+"""What a LeRobot folder says about itself, as plain frozen data."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from rlco.errors import DataError, suggest
+
+
+@dataclass(frozen=True)
+class Feature:
+    """One column of a data set.
+
+    Attributes:
+        stored_name: Its name in the files, before any renaming.
+        dtype: LeRobot's word: ``float32``, ``int64``, ``image``, ``video``, ...
+        shape: Shape of one frame's value.
+        names: One name a number, or None where the data set gives none.
+    """
+
+    stored_name: str
+    dtype: str
+    shape: tuple[int, ...]
+    names: tuple[str, ...] | None = None
+
+    @property
+    def size(self) -> int:
+        """How many numbers one frame's value holds."""
+        return math.prod(self.shape)
+
+    @property
+    def is_camera(self) -> bool:
+        """Whether the feature is a picture, kept as PNG or as video."""
+        return self.dtype in ("image", "video")
+
+
+@dataclass(frozen=True)
+class VideoSpan:
+    """Where an episode's pictures lie: a file and its first frame's time [s]."""
+
+    file: Path
+    start: float
+
+
+@dataclass(frozen=True)
+class Episode:
+    """One recorded episode: its index, its number of frames, its files.
+
+    ``videos`` is keyed by the stored name of the camera.
+    """
+
+    index: int
+    length: int
+    data_file: Path
+    videos: Mapping[str, VideoSpan]
+
+
+@dataclass(frozen=True)
+class LeRobotFolder:
+    """A LeRobot data set on disk, its metadata read and checked.
+
+    Attributes:
+        path: The folder.
+        version: ``"v2.1"`` or ``"v3.x"``.
+        fps: Frames a second [1/s].
+        robot_type: The recorder's word for the robot, if it gave one.
+        features: By name, after renaming.
+        tasks: Task text by task index.
+        episodes: Those selected, in the order asked for.
+    """
+
+    path: Path
+    version: str
+    fps: float
+    robot_type: str | None
+    features: Mapping[str, Feature]
+    tasks: Mapping[int, str]
+    episodes: tuple[Episode, ...]
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of the features that are pictures."""
+        return tuple(name for name, f in self.features.items() if f.is_camera)
+
+    def feature(self, name: str) -> Feature:
+        """Return one feature.
+
+        Raises:
+            DataError: No such feature; lists those there and offers ``rename=``.
+        """
+        if name not in self.features:
+            raise DataError(
+                f"data set {str(self.path)!r} has no feature {name!r}"
+                f"{suggest(name, self.features)}; it has {', '.join(self.features)}; "
+                f'where one of them is meant, give rename={{"its name": "{name}"}}.'
+            )
+        return self.features[name]
+
+
+def format_indices(indices: Iterable[int]) -> str:
+    """Write sorted indices as short ranges.
+
+    Example:
+        >>> format_indices([0, 1, 2, 5, 7, 8])
+        '0-2, 5, 7-8'
+    """
+    runs: list[list[int]] = []
+    for index in sorted(indices):
+        if runs and index == runs[-1][1] + 1:
+            runs[-1][1] = index
+        else:
+            runs.append([index, index])
+    return ", ".join(f"{a}-{b}" if b > a else f"{a}" for a, b in runs)

@@ -1,0 +1,96 @@
+"""Does the anchor pull, and where to: the two gradients on the shared actor."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import torch
+from tensordict import TensorDictBase
+from torch import nn
+
+from rlco.keys import REAL, SIM
+from rlco.losses.co_training import CoTrainingLoss
+
+
+def gradient_agreement(loss: CoTrainingLoss, batch: TensorDictBase) -> dict[str, float]:
+    r"""Compare the gradients of both terms on the parameters of the shared actor.
+
+    With :math:`g_{sim}, g_{real}` the gradients of each root's summed ``loss_*``
+    outputs, already weighted by their coefficients, it returns
+
+    - ``grad_norm_sim`` and ``grad_norm_real``, their Euclidean norms;
+    - ``grad_norm_ratio``, :math:`|g_{real}| / |g_{sim}|`: what ``real_coeff`` is worth,
+      which depends on the scale of the imitation loss and cannot be read off the
+      coefficient;
+    - ``grad_cosine``, their cosine: below 0 the terms pull against each other.
+
+    Ratio and cosine are NaN where a norm they divide by is 0. Nothing is changed: no
+    ``.grad``, no buffer, no random number is drawn from the caller's generators.
+
+    Args:
+        loss: the co-training loss.
+        batch: what ``loss`` reads.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from rlco.losses import ImitationLoss
+        >>> from rlco.policies import GaussianPolicy
+        >>> actor = GaussianPolicy(1, chunk=1, action_size=1, hidden=(4,))
+        >>> def demos(target):
+        ...     return TensorDict(
+        ...         {"observation": {"state": torch.ones(1, 1)},
+        ...          "vla_action": {"chunk": torch.full((1, 1, 1), target)}}, [1])
+        >>> loss = CoTrainingLoss(
+        ...     ImitationLoss(actor), ImitationLoss(actor),
+        ...     sim_coeff=0.5, real_coeff=0.5)
+        >>> told = gradient_agreement(
+        ...     loss, TensorDict({"sim": demos(5.0), "real": demos(-5.0)}))
+        >>> round(told["grad_cosine"], 3)
+        -1.0
+    """
+    parameters = loss.shared_parameters()
+    with _untouched(loss), torch.enable_grad():
+        terms = loss.terms(batch)
+        sim = _gradient(terms.get(SIM, {}), parameters)
+        real = _gradient(terms.get(REAL, {}), parameters)
+    norm_sim, norm_real, dot = (
+        float(value) for value in (sim.norm(), real.norm(), sim @ real)
+    )
+    product = norm_sim * norm_real
+    return {
+        "grad_norm_sim": norm_sim,
+        "grad_norm_real": norm_real,
+        "grad_norm_ratio": norm_real / norm_sim if norm_sim else float("nan"),
+        "grad_cosine": dot / product if product else float("nan"),
+    }
+
+
+def _gradient(named: dict[str, Any], parameters: list[nn.Parameter]) -> torch.Tensor:
+    """Return the gradient of the summed terms as one float64 vector."""
+    terms = [value for name, value in named.items() if name.startswith("loss_")]
+    total = torch.stack(terms).sum() if terms else torch.zeros(())
+    if not total.requires_grad:
+        return torch.zeros(sum(p.numel() for p in parameters), dtype=torch.float64)
+    gradients = torch.autograd.grad(total, parameters, materialize_grads=True)
+    return torch.cat([gradient.flatten().double() for gradient in gradients])
+
+
+@contextmanager
+def _untouched(loss: CoTrainingLoss) -> Iterator[None]:
+    """Undo what a forward pass does to buffers and random number generators.
+
+    KLPENPPOLoss adapts its coefficient and normalisation layers their statistics.
+    """
+    buffers = list(loss.buffers())
+    before = [buffer.clone() for buffer in buffers]
+    cuda = {p.device.index for p in loss.parameters() if p.device.type == "cuda"}
+    with torch.random.fork_rng(devices=sorted(cuda)):
+        try:
+            yield
+        finally:
+            with torch.no_grad():
+                for buffer, value in zip(buffers, before, strict=True):
+                    buffer.copy_(value)

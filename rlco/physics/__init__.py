@@ -1,0 +1,1 @@
+"""Scenes, experts, control and stepping of robosuite models, without torch."""

@@ -1,0 +1,53 @@
+"""MuJoCo's C functions and struct fields, callable from numba without the GIL.
+
+The functions are external symbols of the library that the ``mujoco`` package has
+loaded, so compiled code can be cached on disk. Models and data are passed as the
+addresses that the Python objects give (``MjModel._address``).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import llvmlite.binding
+import mujoco
+import numpy as np
+from numba import carray, njit, types
+from numba.extending import intrinsic
+from numpy.typing import NDArray
+
+_LIBRARY = next(Path(mujoco.__file__).parent.glob("libmujoco*"))
+llvmlite.binding.load_library_permanently(str(_LIBRARY))
+
+_MODEL_DATA = types.void(types.intp, types.intp)
+mj_step1 = types.ExternalFunction("mj_step1", _MODEL_DATA)
+mj_step2 = types.ExternalFunction("mj_step2", _MODEL_DATA)
+mj_forward = types.ExternalFunction("mj_forward", _MODEL_DATA)
+mj_resetData = types.ExternalFunction("mj_resetData", _MODEL_DATA)  # noqa: N816
+mj_jacSite = types.ExternalFunction(  # noqa: N816
+    "mj_jacSite",
+    types.void(*[types.intp] * 4, types.intc),
+)
+
+
+@intrinsic  # type: ignore[misc] # numba is untyped
+def _as_float_pointer(typing_context: Any, address: Any) -> Any:
+    """Reinterpret an integer address as a pointer to doubles."""
+    pointer = types.CPointer(types.float64)
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.inttoptr(args[0], context.get_value_type(pointer))
+
+    return pointer(types.intp), generate
+
+
+@njit(inline="always")  # type: ignore[misc]
+def doubles(address: int, size: int) -> NDArray[np.float64]:
+    """Return a view of `size` doubles at an address, shape (size,)."""
+    return carray(_as_float_pointer(address), (size,))
+
+
+def address_of(array: NDArray[Any]) -> int:
+    """Return where an array's first element lies."""
+    return int(array.__array_interface__["data"][0])

@@ -1,0 +1,228 @@
+"""Push Cube via Instruction: push the named cube onto the mark of its colour.
+
+Three cubes stand in a row across the table, their colours in random order, each
+with a flat mark of its colour 13 to 18 cm further on. The robot starts behind
+the row with closed fingers. Solved where the named cube's centre lies within
+3 cm of its mark; the other cubes do not matter (arXiv 2602.12628, its task "push
+cube"; thresholds of the paper are unpublished).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from rlco.errors import UnknownNameError
+from rlco.physics.domain import Domain
+from rlco.physics.observation import TOOL_DOWN
+from rlco.physics.rotations import rotation_vector
+from rlco.physics.task import Array, InitialState, SceneState, Task
+
+COLOURS = {
+    "red": (0.85, 0.16, 0.14, 1.0),
+    "green": (0.16, 0.62, 0.27, 1.0),
+    "blue": (0.15, 0.34, 0.80, 1.0),
+}
+TABLE_HEIGHT = 0.8  # robosuite's table top [m]
+HALF_SIZE = 0.025  # of a cube [m]
+MASS = 0.06  # a 5 cm pine cube [kg]
+FRICTION = (0.6, 5e-3, 1e-4)  # wood on laminate: sliding, torsional, rolling
+TOLERANCE = 0.03  # of success [m]
+
+# Tool 8 cm above the table behind the row, pointing down, fingers across x.
+HOME = np.array([0.0, 0.51, 0.0, -2.777, 0.0, 3.288, 0.786])
+HOME_NOISE = 0.02  # standard deviation of each joint at the start [rad]
+
+# Where the expert moves its tool [m].
+PUSH_HEIGHT = TABLE_HEIGHT + 0.025
+TRAVEL_HEIGHT = TABLE_HEIGHT + 0.085
+STANDOFF = 0.055  # tool behind the cube's centre before it touches
+
+
+def make_objects(domain: Domain) -> list[object]:
+    """Return robosuite's three cubes, then their three marks."""
+    # robosuite costs seconds to import: rules and expert do without it.
+    from robosuite.models.objects import BoxObject, CylinderObject
+
+    friction = (FRICTION[0] * domain.friction_scale, *FRICTION[1:])
+    density = MASS * domain.mass_scale / (2 * HALF_SIZE) ** 3
+    cubes = [
+        BoxObject(
+            name=f"{name}_cube",
+            size=[HALF_SIZE] * 3,
+            rgba=rgba,
+            density=density,
+            friction=friction,
+        )
+        for name, rgba in COLOURS.items()
+    ]
+    for cube in cubes:
+        for geom in cube.get_obj().iter("geom"):
+            # Its friction counts, not the rubber's of robosuite's finger pads.
+            geom.set("priority", "1")
+    marks = [
+        CylinderObject(
+            name=f"{name}_mark",
+            size=[TOLERANCE, 0.001],
+            rgba=(*rgba[:3], 0.6),
+            obj_type="visual",
+            joints=None,
+        )
+        for name, rgba in COLOURS.items()
+    ]
+    return [*cubes, *marks]
+
+
+def table_friction(domain: Domain) -> tuple[float, float, float]:
+    """Return the table's friction; MuJoCo takes the larger of two touching geoms."""
+    return (FRICTION[0] * domain.friction_scale, FRICTION[1], FRICTION[2])
+
+
+def sample(rng: np.random.Generator, variation: str | None = None) -> InitialState:
+    """Draw the start of an episode.
+
+    Raises:
+        UnknownNameError: If the variation is unknown.
+    """
+    if variation is not None:
+        raise UnknownNameError("variation", variation, ["none"])
+    slots = rng.permutation(3)
+    cubes = np.zeros((3, 7))
+    cubes[:, 0] = rng.uniform(-0.10, -0.05, 3)
+    cubes[:, 1] = (slots - 1) * 0.14 + rng.uniform(-0.02, 0.02, 3)
+    cubes[:, 2] = TABLE_HEIGHT + HALF_SIZE
+    yaw = rng.uniform(-0.1, 0.1, 3)
+    cubes[:, 3], cubes[:, 6] = np.cos(yaw / 2), np.sin(yaw / 2)
+    marks = cubes[:, :3].copy()
+    marks[:, 0] += rng.uniform(0.13, 0.18, 3)
+    marks[:, 1] += rng.uniform(-0.01, 0.01, 3)
+    marks[:, 2] = TABLE_HEIGHT + 0.001
+    return InitialState(
+        joint_position=HOME + rng.normal(0.0, HOME_NOISE, 7),
+        object_pose=cubes,
+        goal_position=marks,
+        instruction_id=int(rng.integers(3)),
+    )
+
+
+def environment_state(objects: Array, goals: Array) -> Array:
+    """Return x and y of each cube, then of each mark, shape (..., 12), [m]."""
+    both = np.concatenate([objects, goals], axis=-2)[..., :2]
+    return both.reshape(*both.shape[:-2], -1)
+
+
+def named(state: SceneState, positions: Array) -> Array:
+    """Pick the named cube's row: (..., 3, 3) -> (..., 3)."""
+    index = state.instruction_id[..., None, None]
+    return np.take_along_axis(positions, index, axis=-2)[..., 0, :]
+
+
+def distance(state: SceneState) -> Array:
+    """Return how far the named cube is from its mark, in the plane [m]."""
+    gap = named(state, state.object_position) - named(state, state.goal_position)
+    return np.linalg.norm(gap[..., :2], axis=-1)
+
+
+def success(state: SceneState) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    """Return whether the named cube lies on its mark, on the table."""
+    height = named(state, state.object_position)[..., 2] - TABLE_HEIGHT
+    return (distance(state) < TOLERANCE) & (np.abs(height - HALF_SIZE) < 0.01)
+
+
+def shaped_reward(before: SceneState, after: SceneState) -> Array:
+    """Return 10 a metre of the cube's progress, 2 a metre of the tool's, 0.05 at goal.
+
+    The first two are differences of a potential, so nothing is gained by going
+    to and fro; the last makes it worth arriving early and staying.
+    """
+
+    def potential(state: SceneState) -> Array:
+        start = push_start(state)
+        start[..., 2] = PUSH_HEIGHT
+        reach = np.linalg.norm(state.tool_position - start, axis=-1)
+        # Within 7 cm the tool is at work; pushing must not cost reach reward.
+        return -10.0 * distance(state) - 2.0 * np.maximum(reach, 0.07)
+
+    return potential(after) - potential(before) + 0.05 * success(after)
+
+
+def push_direction(state: SceneState) -> Array:
+    """Return the unit vector from the named cube to its mark, (..., 2)."""
+    gap = named(state, state.goal_position) - named(state, state.object_position)
+    length = np.linalg.norm(gap[..., :2], axis=-1, keepdims=True)
+    return gap[..., :2] / np.maximum(length, 1e-9)
+
+
+def push_start(state: SceneState) -> Array:
+    """Return the place behind the named cube where pushing starts, (..., 3), [m]."""
+    start = named(state, state.object_position).copy()
+    start[..., :2] -= STANDOFF * push_direction(state)
+    return start
+
+
+def expert(state: SceneState) -> Array:
+    """Return the scripted expert's action from the true state, shape (..., 7).
+
+    It has no memory and no hard switches: it glides down behind the cube and pushes
+    the more, the better it is placed, so that its demonstrations are a smooth
+    function of the state.
+    """
+    tool = state.tool_position
+    forward = push_direction(state)
+    offset = tool[..., :2] - named(state, state.object_position)[..., :2]
+    along = (offset * forward).sum(-1, keepdims=True)
+    across = offset - along * forward
+    sideways = np.linalg.norm(across, axis=-1, keepdims=True)
+    start = push_start(state)[..., :2] - tool[..., :2]
+    # How far it is from the corridor that leads from there to the cube.
+    short = np.maximum(-STANDOFF - along, 0.0)
+    past = np.maximum(along + 0.02, 0.0)
+    astray = np.sqrt(sideways**2 + short**2 + past**2)
+
+    low = np.clip((PUSH_HEIGHT + 0.025 - tool[..., 2:]) / 0.015, 0.0, 1.0)
+    # Strict before it touches the cube, lenient once it pushes.
+    leeway = 0.006 + 0.018 * np.clip((along + 0.046) / 0.008, 0.0, 1.0)
+    aligned = np.clip(2.0 - sideways / leeway, 0.0, 1.0)
+    behind = np.clip((-0.02 - along) / 0.01, 0.0, 1.0)
+    placed = low * aligned * behind
+    # Straight towards the mark: two fingers side by side hold the cube's face flush.
+    gap = distance(state)[..., None]
+    push = np.clip(gap - 0.004, 0.0, 0.035) * forward
+    plane = placed * push + (1.0 - placed) * 0.6 * start
+    # High where it still has to travel, low once it is behind the cube.
+    rise = np.clip((astray - 0.025) / 0.02, 0.0, 1.0)
+    height = PUSH_HEIGHT + rise * (TRAVEL_HEIGHT - PUSH_HEIGHT) - tool[..., 2:]
+    # Too low to travel: rise first, or a cube would be hit on the way.
+    plane = plane * (1.0 - np.clip(height / 0.03, 0.0, 0.95))
+    # Well within the tolerance it rests: the line to the mark loses its meaning.
+    rest = np.clip((gap - 0.012) / 0.01, 0.0, 1.0)
+    move = rest * np.concatenate([plane, height], axis=-1) / 0.05
+
+    action = np.zeros((*tool.shape[:-1], 7))
+    length = np.linalg.norm(move, axis=-1, keepdims=True)
+    action[..., :3] = move / np.maximum(length, 1.0)
+    action[..., 3:6] = -rotation_vector(state.tool_rotation @ TOOL_DOWN.T) / 0.5
+    action[..., 6] = 1.0  # fingers stay closed
+    return np.clip(action, -1.0, 1.0)
+
+
+TASK = Task(
+    name="push_cube",
+    instructions=tuple(f"push the {name} cube onto its mark" for name in COLOURS),
+    horizon=120,
+    control_frequency=20,
+    objects=tuple(f"{name}_cube" for name in COLOURS),
+    goals=tuple(f"{name}_mark" for name in COLOURS),
+    environment_state_names=tuple(
+        f"{name}_{kind}.{axis}"
+        for kind in ("cube", "mark")
+        for name in COLOURS
+        for axis in "xy"
+    ),
+    make_objects=make_objects,
+    table_friction=table_friction,
+    sample=sample,
+    environment_state=environment_state,
+    shaped_reward=shaped_reward,
+    success=success,
+    expert=expert,
+)

@@ -1,0 +1,42 @@
+"""The names of robosuite that rlco uses, imported without its start-up noise.
+
+At import robosuite logs a handful of warnings about files that nobody needs, and
+Python warns about escape sequences in its docstrings. Its later warnings and
+errors pass.
+"""
+
+from __future__ import annotations
+
+import logging
+import warnings
+
+
+def _is_news(record: logging.LogRecord) -> bool:
+    return False
+
+
+_logger = logging.getLogger("robosuite_logs")
+_logger.addFilter(_is_news)
+try:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", SyntaxWarning)
+        from robosuite.controllers import load_composite_controller_config
+        from robosuite.environments.manipulation.manipulation_env import ManipulationEnv
+        from robosuite.models.arenas import TableArena
+        from robosuite.models.tasks import ManipulationTask
+        from robosuite.utils.control_utils import nullspace_torques, opspace_matrices
+finally:
+    _logger.removeFilter(_is_news)
+# Below warnings it repeats which controller file it loads, at every environment.
+_logger.setLevel(logging.WARNING)
+for _handler in _logger.handlers:
+    _handler.setLevel(logging.WARNING)
+
+__all__ = [
+    "ManipulationEnv",
+    "ManipulationTask",
+    "TableArena",
+    "load_composite_controller_config",
+    "nullspace_torques",
+    "opspace_matrices",
+]

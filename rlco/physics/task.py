@@ -1,0 +1,136 @@
+"""What a task is: one value that holds its scene, its rules and its expert.
+
+A task is written in one file, as functions over arrays with leading batch axes,
+so that both backends and the expert read the very same rules.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from rlco.errors import UnknownNameError
+
+if TYPE_CHECKING:
+    from rlco.physics.domain import Domain
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SceneState:
+    """The true state of a scene, world frame; every array has leading axes [...].
+
+    Attributes:
+        tool_position: Grip site, shape (..., 3), [m].
+        tool_rotation: Its rotation matrix, shape (..., 3, 3).
+        gripper_opening: Distance between the fingers, shape (...), [m].
+        joint_position: Arm joints, shape (..., 7), [rad].
+        object_position: Tracked bodies, shape (..., K, 3), [m].
+        object_quaternion: Their orientation (w, x, y, z), shape (..., K, 4).
+        goal_position: Marks and other goals of the episode, shape (..., G, 3), [m].
+        instruction_id: Which instruction the episode has, int64, shape (...).
+    """
+
+    tool_position: Array
+    tool_rotation: Array
+    gripper_opening: Array
+    joint_position: Array
+    object_position: Array
+    object_quaternion: Array
+    goal_position: Array
+    instruction_id: NDArray[np.int64]
+
+    def at(self, index: Any) -> SceneState:
+        """Return the state at an index into the leading axes."""
+        return SceneState(**{k: v[index] for k, v in vars(self).items()})
+
+
+@dataclass(frozen=True)
+class InitialState:
+    """How one episode starts.
+
+    Attributes:
+        joint_position: Arm joints, shape (7,), [rad].
+        object_pose: Position and quaternion (w, x, y, z), shape (K, 7), [m].
+        goal_position: Shape (G, 3), [m].
+        instruction_id: Index into the task's instructions.
+    """
+
+    joint_position: Array
+    object_pose: Array
+    goal_position: Array
+    instruction_id: int
+
+
+@dataclass(frozen=True)
+class Task:
+    """A manipulation task on robosuite's Panda and table.
+
+    Attributes:
+        name: What it is called in options and results.
+        instructions: Every instruction there is; an episode has one, by index.
+        horizon: Length of an episode in control steps.
+        control_frequency: Control steps a second [Hz].
+        objects: Names of the tracked bodies, in the order of `object_position`.
+        goals: Names of the marks, in the order of `goal_position`.
+        environment_state_names: One name a number of `environment_state`.
+        make_objects: Domain -> robosuite objects to put into the scene: the
+            tracked ones (each with a free joint), then the marks (mocap bodies).
+        table_friction: Domain -> sliding, torsional, rolling friction.
+        sample: (random generator, variation) -> the start of an episode.
+        environment_state: (object positions (..., K, 3), goal positions (..., G, 3))
+            as the camera reports them -> features (..., E), [m].
+        shaped_reward: (state before, state after a control step) -> shape (...).
+        success: state -> bool, shape (...).
+        expert: (state, tool position wanted before or None) -> action, shape (..., 7).
+    """
+
+    name: str
+    instructions: tuple[str, ...]
+    horizon: int
+    control_frequency: int
+    objects: tuple[str, ...]
+    goals: tuple[str, ...]
+    environment_state_names: tuple[str, ...]
+    make_objects: Callable[[Domain], list[Any]]
+    table_friction: Callable[[Domain], tuple[float, float, float]]
+    sample: Callable[[np.random.Generator, str | None], InitialState]
+    environment_state: Callable[[Array, Array], Array]
+    shaped_reward: Callable[[SceneState, SceneState], Array]
+    success: Callable[[SceneState], NDArray[np.bool_]]
+    expert: Callable[[SceneState], Array]
+
+    def reward(self, before: SceneState, after: SceneState, kind: str) -> Array:
+        """Return the reward of a control step, ``shaped`` or ``sparse``.
+
+        The sparse reward is +1 where the task becomes solved in this step and -1
+        where it is undone, so that an episode's sum is its success at the end.
+        """
+        if kind == "shaped":
+            return self.shaped_reward(before, after)
+        return self.success(after).astype(float) - self.success(before).astype(float)
+
+
+def make_task(task: str | Task) -> Task:
+    """Return the task of that name; a `Task` is returned as it is.
+
+    Raises:
+        UnknownNameError: If there is no task of that name.
+
+    Example:
+        >>> make_task("push_cube").horizon
+        120
+    """
+    if isinstance(task, Task):
+        return task
+    from rlco.physics import push_cube
+
+    tasks = {module.TASK.name: module.TASK for module in (push_cube,)}
+    if task not in tasks:
+        raise UnknownNameError("task", task, sorted(tasks))
+    return tasks[task]

@@ -1,0 +1,139 @@
+"""Low-dimensional observations, normalised, as one feature vector."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from numpy.typing import ArrayLike
+from tensordict import TensorDictBase
+from torch import nn
+from torch.nn import functional
+
+from rlco.errors import ConfigError, DataError
+from rlco.keys import ENVIRONMENT_STATE, INSTRUCTION_ID, STATE
+from rlco.policies.normalizer import QuantileNormalizer
+
+#: The lower and the upper quantile of some features, a number each.
+Quantiles = tuple[ArrayLike, ArrayLike]
+
+#: A feature that moved less than this in the data [m] or [rad] is not magnified more.
+MIN_OBSERVATION_RANGE = 0.02
+#: Normalised observations end here: beyond lies what no demonstration has seen.
+OBSERVATION_CLIP = 10.0
+
+
+def read(tensordict: TensorDictBase, key: str | tuple[str, ...]) -> torch.Tensor:
+    """Return an entry, or say which one is missing.
+
+    Raises:
+        DataError: the entry is not there.
+    """
+    value = tensordict.get(key, None)
+    if value is None:
+        held = sorted(map(str, tensordict.keys(include_nested=True, leaves_only=True)))
+        raise DataError(f"the batch has no {key!r}; it holds {', '.join(held)}.")
+    tensor: torch.Tensor = value
+    return tensor
+
+
+class ObservationEncoder(nn.Module):
+    """State, object poses and instruction, normalised and concatenated.
+
+    Args:
+        state_size: numbers in ``("observation", "state")``; 0 leaves it unread.
+        environment_state_size: numbers in ``("observation", "environment_state")``;
+            0 leaves it unread.
+        num_instructions: how many instructions there are; ``instruction_id`` is read
+            one-hot. 0 leaves it unread.
+
+    Attributes:
+        in_keys: the entries that it reads.
+        size: numbers in the feature vector.
+
+    Raises:
+        ConfigError: nothing to read, or a negative size.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> encoder = ObservationEncoder(2, num_instructions=3)
+        >>> td = TensorDict(
+        ...     {"observation": {"state": torch.tensor([[0.5, -1.0]])},
+        ...      "instruction_id": torch.tensor([1])}, [1])
+        >>> encoder(td)
+        tensor([[ 0.5000, -1.0000,  0.0000,  1.0000,  0.0000]])
+    """
+
+    def __init__(
+        self,
+        state_size: int,
+        environment_state_size: int = 0,
+        num_instructions: int = 0,
+    ) -> None:
+        super().__init__()
+        sizes = (state_size, environment_state_size, num_instructions)
+        if min(sizes) < 0 or sum(sizes) == 0:
+            raise ConfigError(
+                [
+                    "state_size, environment_state_size and num_instructions are "
+                    f"{sizes}; none may be negative and one must be positive"
+                ]
+            )
+        self.in_keys: list[Any] = []
+        self.state = self._normalizer("state", STATE, state_size)
+        self.environment_state = self._normalizer(
+            "environment_state", ENVIRONMENT_STATE, environment_state_size
+        )
+        self.num_instructions = num_instructions
+        if num_instructions:
+            self.in_keys.append(INSTRUCTION_ID)
+        self.size = sum(sizes)
+
+    def _normalizer(
+        self, name: str, key: tuple[str, ...], size: int
+    ) -> QuantileNormalizer | None:
+        if not size:
+            return None
+        self.in_keys.append(key)
+        return QuantileNormalizer(
+            size, name=name, min_range=MIN_OBSERVATION_RANGE, clip=OBSERVATION_CLIP
+        )
+
+    def set_normalization(
+        self,
+        *,
+        state: Quantiles | None = None,
+        environment_state: Quantiles | None = None,
+    ) -> None:
+        """Fix the normalisation from quantiles (low, high) of the training data.
+
+        Raises:
+            DataError: quantiles of what is not read, or of another size.
+        """
+        for name, quantiles, normalizer in (
+            ("state", state, self.state),
+            ("environment_state", environment_state, self.environment_state),
+        ):
+            if quantiles is None:
+                continue
+            if normalizer is None:
+                raise DataError(
+                    f"quantiles of {name} were given, but the policy was built with "
+                    f"{name}_size=0; leave them out or build it with their size."
+                )
+            normalizer.set_quantiles(*quantiles)
+
+    def forward(self, tensordict: TensorDictBase) -> torch.Tensor:
+        """Return the features [*B, size]; float32, or float64 where inputs are."""
+        parts = []
+        if self.state is not None:
+            parts.append(self.state(read(tensordict, STATE)))
+        if self.environment_state is not None:
+            parts.append(self.environment_state(read(tensordict, ENVIRONMENT_STATE)))
+        if self.num_instructions:
+            chosen = read(tensordict, INSTRUCTION_ID)
+            one_hot = functional.one_hot(chosen, self.num_instructions)
+            dtype = parts[0].dtype if parts else torch.get_default_dtype()
+            parts.append(one_hot.to(dtype))
+        return torch.cat(parts, dim=-1)

@@ -1,0 +1,29 @@
+"""The kinds of policies by name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from rlco.errors import UnknownNameError
+from rlco.policies.gaussian import GaussianPolicy
+
+_KINDS: dict[str, type[GaussianPolicy]] = {GaussianPolicy.kind: GaussianPolicy}
+
+
+def make_policy(kind: str, **arguments: Any) -> GaussianPolicy:
+    """Build a policy by its kind's name.
+
+    Args:
+        kind: "gaussian".
+        **arguments: the constructor's.
+
+    Raises:
+        UnknownNameError: no such kind.
+
+    Example:
+        >>> make_policy("gaussian", state_size=3, chunk=4).chunk
+        4
+    """
+    if kind not in _KINDS:
+        raise UnknownNameError("policy", kind, sorted(_KINDS))
+    return _KINDS[kind](**arguments)

@@ -1,0 +1,300 @@
+"""The run directory: created, never overwritten, resumed; and a recipe's entry.
+
+torch is imported only once a run starts, so help and wrong options answer at once.
+"""
+
+from __future__ import annotations
+
+import inspect
+import logging
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Self
+
+from tqdm import tqdm
+
+from rlco import run_folder
+from rlco.config import RunOptions, parse, to_yaml
+from rlco.errors import RlcoError
+from rlco.metrics import MetricsFile
+
+if TYPE_CHECKING:
+    from torch.utils.tensorboard import SummaryWriter
+
+    from rlco.statistics import ResultRow
+
+log = logging.getLogger("rlco.run")
+
+
+def run_recipe[C](
+    main: Callable[[C], None],
+    config_class: type[C],
+    argv: Sequence[str] | None = None,
+) -> None:
+    """Start a recipe: read its options, run it, turn wrong input into one sentence.
+
+    Wrong input ends with its message on stderr and status 2, Ctrl-C with status
+    130. Every other exception keeps its traceback: it is a defect.
+
+    Args:
+        main: The recipe; its file names the recipe and the folder of its YAML.
+        config_class: The dataclass of its options.
+        argv: The arguments; the command line's where absent.
+    """
+    logger = logging.getLogger("rlco")
+    logger.setLevel(logging.INFO)
+    console = logging.StreamHandler()
+    console.setFormatter(logging.Formatter("%(message)s"))
+    logger.addHandler(console)
+    try:
+        argv = sys.argv[1:] if argv is None else argv
+        main(parse(config_class, argv, inspect.getfile(main)))
+    except RlcoError as error:
+        sys.stderr.write(f"error: {error}\n")
+        raise SystemExit(2) from None
+    except KeyboardInterrupt:
+        raise SystemExit(130) from None
+    finally:
+        logger.removeHandler(console)
+
+
+class Run:
+    """One run and its directory; use it as a context manager.
+
+    Its start seeds every random number and sets torch's threads. Iterations are
+    counted from 1; step 0 is what was before the first. A resumed run goes on after
+    its last checkpoint, from the same random state, and ends with the same
+    metrics.csv as a run that was never stopped, where each iteration starts from
+    resets and the recipe puts its own state into :meth:`save_checkpoint`.
+
+    Args:
+        config: The recipe's options.
+        recipe: The recipe's name.
+        root: Where run directories are made unless ``config.out`` names one.
+
+    Raises:
+        OutputExistsError: The directory exists; nothing in it was touched.
+        RlcoError: It cannot be made, or the run to resume is another recipe's or is
+            still being written by another process.
+
+    Example:
+        >>> import tempfile
+        >>> options = RunOptions(out=tempfile.mkdtemp() + "/run")
+        >>> with Run(options, "demo") as run:
+        ...     for iteration in run.iterations(3):
+        ...         run.log_metrics(iteration, {"loss": 1 / iteration})
+        ...         file = run.save_checkpoint(iteration, {"weight": 1.0})
+        >>> with Run(RunOptions(resume=options.out), "demo") as run:
+        ...     print(run.load_checkpoint(), list(run.iterations(5)))
+        {'weight': 1.0} [4, 5]
+    """
+
+    def __init__(
+        self, config: RunOptions, recipe: str, *, root: Path = Path("outputs")
+    ) -> None:
+        self.recipe = recipe
+        self.resumed = config.resume is not None
+        if config.resume is not None:
+            self.path = Path(config.resume)
+            self._info = run_folder.read_info(self.path, recipe)
+            self._lock = run_folder.lock(self.path)
+            self._info["resumed"].append(run_folder.command_line())
+        else:
+            self.path = run_folder.create(
+                config.out, config.name, config.seed, recipe, root
+            )
+            self._lock = run_folder.lock(self.path)
+            self._info = run_folder.origin(recipe)
+        options = to_yaml(config, leave_out=("out", "resume"))
+        run_folder.write_text(self.path / "config.yaml", options)
+        self._start: float = time.perf_counter() - self._info["seconds"]
+        self._write_info("running")
+        self._open_tables()
+        self._open_log()
+        import torch
+
+        from rlco.state_files import seed_everything
+
+        torch.set_num_threads(config.threads)
+        seed_everything(config.seed)
+
+    def _open_tables(self) -> None:
+        run_folder.remove_parts(self.path)
+        self.checkpoints = self.path / "checkpoints"
+        saved = _checkpoint_files(self.checkpoints)
+        # The last iteration that a checkpoint holds; None before the first.
+        self.step = int(saved[-1].stem.removeprefix("step_")) if saved else None
+        self._metrics = MetricsFile(self.path / "metrics.csv", keep_to=self.step)
+        self._timings = MetricsFile(self.path / "timings.csv", keep_to=self.step)
+        self._rng: Mapping[str, Any] | None = None
+        self._board: SummaryWriter | None = None
+        if self.resumed:
+            self._open_board()
+
+    def _open_log(self) -> None:
+        self._handler = logging.FileHandler(self.path / "log.txt", encoding="utf-8")
+        self._handler.setFormatter(
+            logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s")
+        )
+        logging.getLogger("rlco").addHandler(self._handler)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        status = "finished"
+        if kind is KeyboardInterrupt:
+            status = "interrupted"
+            log.warning("interrupted; resume=%s continues this run", self.path)
+        elif kind is not None and error is not None:
+            status = "failed"
+            # For the file alone: on the screen the error speaks for itself.
+            what = (status, (), (kind, error, trace))
+            self._handler.handle(log.makeRecord(log.name, logging.ERROR, "", 0, *what))
+        self._write_info(status)
+        if self._board is not None:
+            self._board.close()
+        logging.getLogger("rlco").removeHandler(self._handler)
+        self._handler.close()
+        os.close(self._lock)
+
+    @property
+    def seconds(self) -> float:
+        """Time spent in this run, the parts before a resume included [s]."""
+        return time.perf_counter() - self._start
+
+    @property
+    def plots(self) -> Path:
+        """The folder for figures."""
+        return _made(self.path / "plots")
+
+    @property
+    def videos(self) -> Path:
+        """The folder for videos."""
+        return _made(self.path / "videos")
+
+    def iterations(self, total: int) -> Iterator[int]:
+        """Count the iterations that are left, 1 to ``total``, with a progress bar.
+
+        A resumed run gets its random state back before its first one.
+        """
+        if self._rng is not None:
+            from rlco.state_files import set_rng_state
+
+            set_rng_state(self._rng)
+            self._rng = None
+        first = (self.step or 0) + 1
+        yield from tqdm(
+            range(first, total + 1),
+            desc=self.recipe,
+            total=total,
+            initial=first - 1,
+            disable=None,
+        )
+
+    def log_metrics(self, step: int, row: Mapping[str, Any]) -> None:
+        """Write one row of metrics.csv; see :meth:`MetricsFile.append`. No times."""
+        self._log(self._metrics, step, row, "")
+
+    def log_timings(self, step: int, row: Mapping[str, Any]) -> None:
+        """Write one row of timings.csv: what differs from run to run [s]."""
+        self._log(self._timings, step, row, "time/")
+
+    def save_checkpoint(self, step: int, state: Any, *, keep: int = 2) -> Path:
+        """Save state, and the random numbers', as the last act of an iteration.
+
+        Args:
+            step: The iteration just done.
+            state: As :func:`rlco.state_files.save_state` takes it.
+            keep: Older checkpoints beyond so many are removed.
+
+        Returns:
+            The file.
+        """
+        from rlco.state_files import rng_state, save_state
+
+        self._metrics.sync()
+        self._timings.sync()
+        path = _made(self.checkpoints) / f"step_{step:07d}.safetensors"
+        save_state(path, {"state": state, "rng": rng_state()})
+        self.step = step
+        for old in _checkpoint_files(self.checkpoints)[:-keep]:
+            old.unlink()
+        self._write_info("running")
+        return path
+
+    def load_checkpoint(self) -> Any:
+        """Return the last checkpoint's state; None where a run starts afresh."""
+        from rlco.state_files import load_state
+
+        if self.step is None:
+            return None
+        saved = load_state(_checkpoint_files(self.checkpoints)[-1])
+        self._rng = saved["rng"]
+        return saved["state"]
+
+    def save_results(self, rows: Sequence[ResultRow]) -> None:
+        """Write results.json: what every evaluated policy reached."""
+        run_folder.write_json(
+            self.path / "results.json", {"seconds": self.seconds, "rows": list(rows)}
+        )
+
+    def stage[C: RunOptions](self, config: C, recipe: str, folder: str) -> Run:
+        """Start a run inside this one, or go on with it where this one is resumed."""
+        path = self.path / folder
+        done = path.exists() and self.resumed
+        out, resume = (None, str(path)) if done else (str(path), None)
+        return Run(replace(config, out=out, resume=resume), recipe)
+
+    def _log(
+        self, file: MetricsFile, step: int, row: Mapping[str, Any], prefix: str
+    ) -> None:
+        if self.step is not None and step <= self.step:
+            # Resuming keeps what the checkpoint knows; this row would be lost.
+            raise ValueError(f"step {step} is logged after its checkpoint was saved")
+        if self._board is None:
+            self._open_board()
+        file.append(step, row)
+        self._show(file.last, prefix)
+
+    def _open_board(self) -> None:
+        from torch.utils.tensorboard import SummaryWriter
+
+        # TensorBoard's files repeat the two tables and nothing else: made anew.
+        shutil.rmtree(self.path / "tb", ignore_errors=True)
+        self._board = SummaryWriter(str(self.path / "tb"))
+        for row in self._metrics.rows():
+            self._show(row, "")
+        for row in self._timings.rows():
+            self._show(row, "time/")
+
+    def _show(self, row: Mapping[str, float], prefix: str) -> None:
+        if self._board is not None:
+            for name, value in row.items():
+                if name != "step":
+                    self._board.add_scalar(prefix + name, value, int(row["step"]))
+
+    def _write_info(self, status: str) -> None:
+        self._info |= {"status": status, "seconds": self.seconds}
+        run_folder.write_json(self.path / "run.json", self._info)
+
+
+def _checkpoint_files(folder: Path) -> list[Path]:
+    """List whole checkpoints, oldest first; one cut off has another name."""
+    return sorted(folder.glob("step_*.safetensors"))
+
+
+def _made(folder: Path) -> Path:
+    folder.mkdir(exist_ok=True)
+    return folder

@@ -1,0 +1,147 @@
+"""Whatever cannot be meant is refused, in one sentence."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+import torch
+from loss_cases import make_batch, make_networks
+from tensordict import TensorDict, TensorDictBase
+from torchrl.objectives import ClipPPOLoss
+
+from rlco.errors import ConfigError, DataError
+from rlco.losses import CoTrainingLoss, ImitationLoss
+
+
+def stage_two(**coefficients: float) -> tuple[CoTrainingLoss, TensorDictBase]:
+    policy, value = make_networks()
+    loss = CoTrainingLoss(
+        ClipPPOLoss(policy, value), ImitationLoss(policy), **coefficients
+    )
+    return loss, make_batch(policy)
+
+
+@pytest.mark.parametrize("root", ["sim", "real"])
+def test_a_missing_root_is_named(root: str) -> None:
+    loss, batch = stage_two()
+    del batch[root]
+    with pytest.raises(DataError, match=f"no root '{root}'.*{root}_coeff=0"):
+        loss(batch)
+
+
+def test_a_root_stays_needed_where_its_coefficient_was_scheduled_to_zero() -> None:
+    loss, batch = stage_two()
+    loss.real_coeff = 0.0
+    del batch["real"]
+    with pytest.raises(DataError, match="no root 'real'"):
+        loss(batch)
+
+
+@pytest.mark.parametrize("key", ["advantage", "value_target"])
+def test_no_advantage_is_estimated_from_a_minibatch(key: str) -> None:
+    loss, batch = stage_two()
+    # All that TorchRL's loss would need to run GAE on the shuffled rows.
+    sim = batch["sim"]
+    sim["next"] = sim.select("observation", "instruction_id")
+    sim["next", "reward"] = torch.ones(6, 1)
+    for name in ("done", "terminated"):
+        sim["next", name] = torch.zeros(6, 1, dtype=torch.bool)
+    del sim[key]
+    with pytest.raises(DataError, match=f"'sim' has no '{key}'; run an advantage"):
+        loss(batch)
+
+
+def test_without_critic_no_value_target_is_needed() -> None:
+    policy, _ = make_networks()
+    loss = CoTrainingLoss(ClipPPOLoss(policy, None), ImitationLoss(policy))
+    batch = make_batch(policy)
+    del batch["sim", "value_target"]
+    out = loss(batch)
+    assert set(out.keys()) == set(loss.out_keys)
+    assert "loss_critic" not in out
+
+
+@pytest.mark.parametrize("functional", [True, False])
+def test_two_actors_are_refused_even_where_they_are_equal(functional: bool) -> None:
+    policy, value = make_networks()
+    other, _ = make_networks()
+    other.load_state_dict(policy.state_dict())
+    with pytest.raises(ConfigError, match="do not share an actor"):
+        CoTrainingLoss(
+            ClipPPOLoss(policy, value, functional=functional),
+            ImitationLoss(other, functional=functional),
+        )
+
+
+def test_colliding_output_names_are_refused() -> None:
+    class RealNamed(ImitationLoss):
+        @property
+        def out_keys(self) -> Any:
+            return ["loss_bc_real"]
+
+    policy, _ = make_networks()
+    with pytest.raises(ConfigError, match="both return loss_bc_real"):
+        CoTrainingLoss(RealNamed(policy), ImitationLoss(policy))
+
+
+def test_colliding_output_names_are_refused_where_only_the_output_shows_them() -> None:
+    class RealNamed(ImitationLoss):
+        def forward(self, tensordict: Any) -> Any:
+            out = super().forward(tensordict)
+            return TensorDict({"loss_bc_real": out["loss_bc"]})
+
+    policy, _ = make_networks()
+    loss = CoTrainingLoss(RealNamed(policy), ImitationLoss(policy))
+    batch = make_batch(policy)
+    with pytest.raises(ConfigError, match="both return loss_bc_real"):
+        loss(batch)
+
+
+def test_an_output_that_trainers_would_add_up_by_mistake_is_refused() -> None:
+    class Unscaled(ImitationLoss):
+        def forward(self, tensordict: Any) -> Any:
+            out = super().forward(tensordict)
+            return out.set("loss", out["loss_bc"])
+
+    policy, _ = make_networks()
+    loss = CoTrainingLoss(Unscaled(policy), ImitationLoss(policy))
+    batch = make_batch(policy)
+    with pytest.raises(ConfigError, match="Unscaled returns 'loss'"):
+        loss(batch)
+
+
+@pytest.mark.parametrize(
+    ("sim", "real", "coefficients", "message"),
+    [
+        (True, False, {}, "real_loss is None but real_coeff=0.2"),
+        (False, True, {}, "sim_loss is None but sim_coeff=1.0"),
+        (True, True, {"real_coeff": -0.1}, "real_coeff=-0.1 must be finite"),
+        (True, True, {"sim_coeff": float("nan")}, "sim_coeff=nan must be finite"),
+        (True, True, {"sim_coeff": 0, "real_coeff": 0}, "nothing is trained"),
+    ],
+)
+def test_impossible_combinations(
+    sim: bool, real: bool, coefficients: Any, message: str
+) -> None:
+    policy, value = make_networks()
+    with pytest.raises(ConfigError, match=message):
+        CoTrainingLoss(
+            ClipPPOLoss(policy, value) if sim else None,
+            ImitationLoss(policy) if real else None,
+            **coefficients,
+        )
+
+
+def test_a_reduction_that_keeps_rows_is_refused() -> None:
+    policy, value = make_networks()
+    with pytest.raises(ConfigError, match="sim_loss has reduction='none'"):
+        CoTrainingLoss(
+            ClipPPOLoss(policy, value, reduction="none"), ImitationLoss(policy)
+        )
+
+
+def test_all_problems_are_reported_at_once() -> None:
+    with pytest.raises(ConfigError) as caught:
+        CoTrainingLoss(None, None, sim_coeff=-1.0)
+    assert len(caught.value.problems) == 3
