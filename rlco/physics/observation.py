@@ -23,6 +23,17 @@ STATE_NAMES = (
     "tool.rz",
     "gripper.opening",
 )
+# What an action holds, each in [-1, 1]: delta tool pose, at most 5 cm and 0.5 rad a
+# control step, and the gripper: positive closes, negative opens.
+ACTION_NAMES = (
+    "tool.dx",
+    "tool.dy",
+    "tool.dz",
+    "tool.drx",
+    "tool.dry",
+    "tool.drz",
+    "gripper",
+)
 
 
 def noise_size(task: Task) -> int:

@@ -1,0 +1,66 @@
+"""Play a policy from paired initial states, and count what it solves.
+
+    uv run recipes/evaluate.py policy=outputs/rl_co/RUN/policy domain=stand_in
+    uv run recipes/evaluate.py policy=... videos=3        # needs an OpenGL library
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+from rlco.config import REQUIRED, RunOptions, option
+from rlco.run import Run, run_recipe
+
+log = logging.getLogger("rlco.evaluate")
+
+
+@dataclass
+class Config(RunOptions):
+    """Options of evaluate.py."""
+
+    name: str = option("evaluate", "name of the run, a part of its folder's name")
+    policy: str = option(REQUIRED, "folder of a saved policy")
+    method: str = option("policy", "what to call it in results.json")
+    task: str = option("push_cube", "name of the task")
+    domain: str = option("sim", "where to play: sim or stand_in")
+    backend: str = option("native", "who steps: native or robosuite")
+    episodes: int = option(256, "episodes, the first ones of the seed", minimum=1)
+    videos: int = option(0, "episodes to film", minimum=0)
+
+
+def main(config: Config) -> None:
+    """Evaluate, film, and write results.json."""
+    from rlco.evaluation import EVALUATION_SEED, evaluate, evaluation_env, record_video
+    from rlco.policies import load_policy
+
+    policy, _ = load_policy(config.policy)
+    env = evaluation_env(
+        config.task,
+        config.domain,
+        chunk=policy.chunk,
+        episodes=config.episodes,
+        backend=config.backend,
+        seed=EVALUATION_SEED + config.seed,
+    )
+    with Run(config, "evaluate") as run:
+        result = evaluate(policy, env, config.episodes)
+        log.info("%s in %s: %s", config.method, config.domain, result)
+        run.save_results(
+            [result.row(config.method, config.domain, config.seed, task=config.task)]
+        )
+        for index in range(config.videos):
+            path = run.videos / f"{config.domain}_{index}.mp4"
+            record_video(
+                policy,
+                config.task,
+                config.domain,
+                path,
+                chunk=policy.chunk,
+                index=index,
+            )
+            log.info("video: %s", path)
+
+
+if __name__ == "__main__":
+    run_recipe(main, Config)

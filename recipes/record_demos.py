@@ -1,0 +1,90 @@
+"""Record demonstrations of a task's scripted expert as a LeRobot v3 data set.
+
+    uv run recipes/record_demos.py domain=sim episodes=60 out=demos/sim
+    uv run recipes/record_demos.py domain=stand_in episodes=20 out=demos/stand_in
+
+The domain ``stand_in`` is a second simulator that plays the robot's part. With a
+robot at hand, record there instead, with LeRobot, and give that folder to sft.py.
+"""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass
+
+from rlco.config import REQUIRED, option
+from rlco.run import run_recipe
+
+log = logging.getLogger("rlco.record_demos")
+
+
+@dataclass
+class Config:
+    """Options of record_demos.py."""
+
+    out: str = option(REQUIRED, "new folder for the data set")
+    task: str = option("push_cube", "name of the task")
+    domain: str = option("sim", "where to record: sim or stand_in")
+    episodes: int = option(60, "successful episodes to keep", minimum=1)
+    noise: float = option(
+        0.1, "noise of the commands, in units of their range", minimum=0, maximum=1
+    )
+    seed: int = option(0, "seed of initial states and noise", minimum=0)
+
+
+def main(config: Config) -> None:
+    """Record, then say what was recorded."""
+    from tqdm import tqdm
+
+    from rlco.data import DemoWriter
+    from rlco.physics.demonstrate import demonstrate
+    from rlco.physics.domain import make_domain
+    from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
+    from rlco.physics.task import make_task
+
+    task, domain = make_task(config.task), make_domain(config.domain)
+    frames = 0
+    with DemoWriter(
+        config.out,
+        fps=task.control_frequency,
+        state_names=STATE_NAMES,
+        environment_state_names=task.environment_state_names,
+        action_names=ACTION_NAMES,
+        robot_type=f"panda_{domain.name}",
+    ) as writer:
+        demonstrations = demonstrate(
+            task,
+            domain,
+            episodes=config.episodes,
+            seed=config.seed,
+            noise=config.noise,
+        )
+        for demonstration in tqdm(
+            demonstrations, "episodes", total=config.episodes, disable=None
+        ):
+            for state, environment_state, action in zip(
+                demonstration.state,
+                demonstration.environment_state,
+                demonstration.action,
+                strict=True,
+            ):
+                writer.add_frame(
+                    state=state,
+                    environment_state=environment_state,
+                    action=action,
+                    task=demonstration.instruction,
+                )
+            writer.save_episode()
+            frames += len(demonstration.action)
+    log.info(
+        "recorded %d episodes, %d frames of %s in %s: %s",
+        config.episodes,
+        frames,
+        task.name,
+        domain.name,
+        config.out,
+    )
+
+
+if __name__ == "__main__":
+    run_recipe(main, Config)

@@ -1,0 +1,291 @@
+"""Stage II: PPO in the simulator, anchored to the real demonstrations.
+
+    uv run recipes/rl_co.py policy=outputs/sft/RUN/policy real_demos=demos/stand_in
+    uv run recipes/rl_co.py policy=outputs/sft/RUN/policy real_coeff=0   # RL alone
+
+L = L_PPO(sim) + beta L_BC(D_real), beta = real_coeff, in every minibatch of every
+epoch, each with freshly drawn real rows (RL-Co, arXiv 2602.12628, Stage II).
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from rlco.config import REQUIRED, RunOptions, option
+from rlco.errors import CheckpointError, ConfigError
+from rlco.run import Run, run_recipe
+
+log = logging.getLogger("rlco.rl_co")
+
+
+@dataclass
+class Config(RunOptions):
+    """Options of rl_co.py."""
+
+    name: str = option("rl_co", "name of the run, a part of its folder's name")
+    policy: str = option(REQUIRED, "folder of the policy that Stage I saved")
+    task: str = option("push_cube", "name of the task")
+    real_demos: str | None = option(None, "LeRobot folder of real demonstrations")
+    heldout_demos: str | None = option(
+        None, "LeRobot folder of real demonstrations to measure forgetting on"
+    )
+    real_coeff: float = option(0.2, "beta, weight of the real anchor", minimum=0)
+    iterations: int = option(40, "rollouts", minimum=1, may_change=True)
+    num_envs: int = option(64, "episodes of a rollout", minimum=1)
+    backend: str = option("native", "who steps: native or robosuite")
+    reward: str = option("shaped", "reward: shaped or sparse")
+    epochs: int = option(4, "passes over a rollout", minimum=1)
+    minibatch: int = option(384, "simulated decisions of a minibatch", minimum=1)
+    real_rows: int = option(128, "real rows of a minibatch", minimum=1)
+    lr: float = option(1.5e-4, "learning rate of the policy")
+    critic_lr: float = option(1e-3, "learning rate of the critic")
+    critic_iterations: int = option(
+        3, "first rollouts that train the critic alone", minimum=0
+    )
+    clip: float = option(0.2, "PPO's clip of the ratio", minimum=0)
+    gamma: float = option(0.97, "discount a decision", minimum=0, maximum=1)
+    lmbda: float = option(0.95, "GAE's lambda", minimum=0, maximum=1)
+    max_grad_norm: float = option(1.0, "clip of the gradient's norm")
+    eval_every: int = option(10, "rollouts between evaluations", minimum=1)
+    eval_episodes: int = option(64, "episodes of an evaluation; 0: none", minimum=0)
+    eval_domains: list[str] = option(["sim", "stand_in"], "domains to evaluate in")
+
+
+def load(config: Config) -> tuple[Any, dict[str, Any]]:
+    """Load the policy and the demonstrations, and check that they fit the task."""
+    from rlco.data import load_demos
+    from rlco.physics.observation import STATE_NAMES
+    from rlco.physics.task import make_task
+    from rlco.policies import load_policy
+
+    task = make_task(config.task)
+    policy, extra = load_policy(config.policy)
+    sizes = {
+        "state_size": len(STATE_NAMES),
+        "environment_state_size": len(task.environment_state_names),
+        "num_instructions": len(task.instructions),
+    }
+    for name, size in sizes.items():
+        if policy.arguments[name] != size:
+            raise CheckpointError(
+                f"policy {config.policy!r} was trained on {extra.get('task')!r} with "
+                f"{name}={policy.arguments[name]}, but {task.name!r} has {size}; give "
+                "the policy's own task=, or a policy of this task."
+            )
+    if config.real_coeff > 0 and config.real_demos is None:
+        raise ConfigError(
+            [
+                f"real_coeff={config.real_coeff} needs real_demos=FOLDER; "
+                "real_coeff=0 is reinforcement learning alone"
+            ]
+        )
+    demos = {}
+    for name in ("real_demos", "heldout_demos"):
+        path = getattr(config, name)
+        if path is not None:
+            demos[name] = load_demos(
+                path,
+                chunk=policy.chunk,
+                instructions=task.instructions,
+                action_dim=policy.action_size,
+                state_dim=sizes["state_size"],
+                environment_dim=sizes["environment_state_size"],
+                image_key=False,
+            )
+    return policy, demos
+
+
+def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
+    """Train, and save the policy to the run's folder ``policy``."""
+    import torch
+    from torchrl.data import LazyTensorStorage, ReplayBuffer
+    from torchrl.objectives import ClipPPOLoss
+
+    from rlco import keys
+    from rlco.collectors import RolloutCollector
+    from rlco.data import SimRealReplayBuffer
+    from rlco.envs import make_env
+    from rlco.evaluation import evaluate, evaluation_env
+    from rlco.losses import (
+        CoTrainingLoss,
+        ImitationLoss,
+        gradient_agreement,
+        log_probs,
+    )
+    from rlco.policies import ValueNetwork, save_policy
+
+    sizes = {
+        name: policy.arguments[name]
+        for name in ("environment_state_size", "num_instructions", "hidden")
+    }
+    critic = ValueNetwork(policy.arguments["state_size"], **sizes)
+    critic.encoder.load_state_dict(policy.encoder.state_dict())  # its normalisation
+    env = make_env(
+        config.task,
+        backend=config.backend,
+        num_envs=config.num_envs,
+        chunk=policy.chunk,
+        reward=config.reward,
+        seed=config.seed,
+    )
+    collector = RolloutCollector(
+        env, policy, critic, gamma=config.gamma, lmbda=config.lmbda
+    )
+    rows = config.num_envs * collector.decisions
+    anchored = config.real_coeff > 0
+    real = demos["real_demos"] if anchored else None
+    real_rows = config.real_rows if anchored else 0
+    buffer = SimRealReplayBuffer(
+        ReplayBuffer(storage=LazyTensorStorage(rows)),
+        real,
+        sim_ratio=config.minibatch / (config.minibatch + real_rows),
+        batch_size=config.minibatch + real_rows,
+    )
+    loss = CoTrainingLoss(
+        ClipPPOLoss(
+            policy,
+            critic,
+            clip_epsilon=config.clip,
+            entropy_bonus=False,
+            critic_coeff=1.0,
+            loss_critic_type="l2",
+        ),
+        ImitationLoss(policy) if anchored else None,
+        real_coeff=config.real_coeff,
+    )
+    actor_optimizer = torch.optim.Adam(policy.parameters(), lr=config.lr)
+    critic_optimizer = torch.optim.Adam(critic.parameters(), lr=config.critic_lr)
+    modules = {
+        "policy": policy,
+        "critic": critic,
+        "actor_optimizer": actor_optimizer,
+        "critic_optimizer": critic_optimizer,
+    }
+    if (saved := run.load_checkpoint()) is not None:
+        for name, module in modules.items():
+            module.load_state_dict(saved[name])
+        buffer.load_state_dict(saved["buffer"])
+
+    def measure() -> dict[str, float]:
+        """Success in each domain, and the error on demonstrations never trained on."""
+        found = {}
+        for domain in config.eval_domains if config.eval_episodes else []:
+            place = evaluation_envs.setdefault(
+                domain,
+                evaluation_env(
+                    config.task,
+                    domain,
+                    chunk=policy.chunk,
+                    episodes=config.eval_episodes,
+                ),
+            )
+            result = evaluate(policy, place, config.eval_episodes)
+            found[f"success_{domain}"] = result.rate
+        return found
+
+    def forgetting() -> dict[str, float]:
+        if "heldout_demos" not in demos:
+            return {}
+        frames = demos["heldout_demos"].frames()
+        with torch.no_grad():
+            steps = policy.imitation_loss(frames)
+        return {"imitation_error_heldout": float(steps[~frames[keys.IS_PAD]].mean())}
+
+    evaluation_envs: dict[str, Any] = {}
+    if run.step is None:
+        run.log_metrics(0, {"frames": 0, **measure(), **forgetting()})
+
+    kept = [
+        keys.STATE,
+        keys.ENVIRONMENT_STATE,
+        keys.INSTRUCTION_ID,
+        keys.SAMPLE,
+        keys.ADVANTAGE,
+        keys.VALUE_TARGET,
+        keys.STATE_VALUE,
+    ]
+    for iteration in run.iterations(config.iterations):
+        started = time.perf_counter()
+        rollout = collector.collect(iteration)
+        collected = time.perf_counter()
+        flat = rollout.select(*kept).reshape(-1)
+        flat.set(keys.LOG_PROB, log_probs(policy, flat, rows=config.minibatch))
+        buffer.empty()
+        buffer.extend(flat)
+
+        row: dict[str, float] = {
+            "frames": iteration * collector.frames,
+            "return_mean": float(rollout["next", keys.REWARD].sum(1).mean()),
+            "success_rollout": float(
+                rollout["next", keys.SUCCESS][:, -1].float().mean()
+            ),
+        }
+        sums: dict[str, float] = {}
+        minibatches = 0
+        for _ in range(config.epochs):
+            for batch in buffer:
+                if minibatches == 0 and anchored:
+                    row |= gradient_agreement(loss, batch)
+                out = loss(batch)
+                if minibatches == 0:
+                    row["first_ratio"] = float(out["max_ratio"])
+                actor_optimizer.zero_grad()
+                critic_optimizer.zero_grad()
+                sum(v for k, v in out.items() if k.startswith("loss_")).backward()
+                torch.nn.utils.clip_grad_norm_(critic.parameters(), 10.0)
+                critic_optimizer.step()
+                if iteration > config.critic_iterations:
+                    torch.nn.utils.clip_grad_norm_(
+                        policy.parameters(), config.max_grad_norm
+                    )
+                    actor_optimizer.step()
+                minibatches += 1
+                for name, value in out.items():
+                    sums[name] = sums.get(name, 0.0) + float(value.detach())
+        row |= {name: total / minibatches for name, total in sums.items()}
+        row |= forgetting()
+        learned = time.perf_counter()
+        if iteration % config.eval_every == 0 or iteration == config.iterations:
+            row |= measure()
+        run.log_metrics(iteration, row)
+        run.log_timings(
+            iteration,
+            {
+                "collect": collected - started,
+                "learn": learned - collected,
+                "evaluate": time.perf_counter() - learned,
+                "frames_per_second": collector.frames / (learned - started),
+            },
+        )
+        state = {name: dict(module.state_dict()) for name, module in modules.items()}
+        state["buffer"] = buffer.state_dict(rows=False)
+        run.save_checkpoint(iteration, state)
+    collector.close()
+    save_policy(
+        policy,
+        run.path / "policy",
+        extra={"task": config.task, "real_coeff": config.real_coeff},
+    )
+    return policy
+
+
+def main(config: Config) -> None:
+    """Check everything, train, and say how it went."""
+    policy, demos = load(config)  # what is wrong shows before a folder is made
+    from rlco.metrics import read_metrics
+
+    with Run(config, "rl_co") as run:
+        train(config, run, policy, demos)
+        for row in read_metrics(run.path / "metrics.csv"):
+            rates = [f"{d} {row[f'success_{d}']:.1%}" for d in config.eval_domains
+                     if row.get(f"success_{d}") is not None]
+            if rates:
+                log.info("rollout %d: %s", row["step"], ", ".join(rates))
+        log.info("policy: %s", run.path / "policy")
+
+
+if __name__ == "__main__":
+    run_recipe(main, Config)
