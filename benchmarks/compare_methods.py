@@ -93,7 +93,7 @@ def main(config: Config) -> None:
     text = table(folders)
     (Path(config.out) / "table.md").write_text(text + "\n")
     save_figure(learning_curves(curves(folders)), Path(config.out) / "curves.png")
-    print(text)  # noqa: T201 # what a benchmark is for
+    print(text)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,7 @@
 """Play a policy from paired initial states, and count what it solves.
 
+Every policy meets the same episodes, so two runs of this can be compared:
+
     uv run recipes/evaluate.py policy=outputs/rl_co/RUN/policy domain=stand_in
     uv run recipes/evaluate.py policy=... videos=3        # needs an OpenGL library
 """

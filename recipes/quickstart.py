@@ -191,9 +191,7 @@ def draw(config: Config, run: Run, rows: list[Any], policies: dict[str, Any]) ->
     method, policy = list(policies.items())[-1]
     try:
         path = run.videos / f"{method}_stand_in.mp4"
-        frames = record_video(
-            policy, config.task, "stand_in", path, chunk=policy.chunk
-        )
+        frames = record_video(policy, config.task, "stand_in", path, chunk=policy.chunk)
     except RenderingError as error:
         log.warning("no frames in the report: %s", error)
         return

@@ -280,8 +280,11 @@ def main(config: Config) -> None:
     with Run(config, "rl_co") as run:
         train(config, run, policy, demos)
         for row in read_metrics(run.path / "metrics.csv"):
-            rates = [f"{d} {row[f'success_{d}']:.1%}" for d in config.eval_domains
-                     if row.get(f"success_{d}") is not None]
+            rates = [
+                f"{d} {row[f'success_{d}']:.1%}"
+                for d in config.eval_domains
+                if row.get(f"success_{d}") is not None
+            ]
             if rates:
                 log.info("rollout %d: %s", row["step"], ", ".join(rates))
         log.info("policy: %s", run.path / "policy")

@@ -36,14 +36,23 @@ class Evaluation:
         """Share of solved episodes."""
         return float(self.success.mean())
 
-    def row(self, method: str, domain: str, seed: int, **more: str) -> ResultRow:
+    def row(
+        self,
+        method: str,
+        domain: str,
+        seed: int,
+        *,
+        task: str,
+        policy: str = "gaussian",
+        variation: str | None = None,
+    ) -> ResultRow:
         """Return this evaluation as a row of results.json."""
         return ResultRow(
             method=method,
-            task=more.get("task", "push_cube"),
-            policy=more.get("policy", "gaussian"),
+            task=task,
+            policy=policy,
             domain=domain,
-            variation=more.get("variation", "none"),
+            variation=variation,
             seed=seed,
             episodes=int(self.success.size),
             successes=int(self.success.sum()),
@@ -52,7 +61,8 @@ class Evaluation:
     def __str__(self) -> str:
         low, high = wilson_interval(int(self.success.sum()), self.success.size)[1:]
         solved = self.seconds[self.success]
-        text = f"{self.rate:.1%} [{low:.1%}, {high:.1%}] of {self.success.size} episodes"
+        share = f"{self.rate:.1%} [{low:.1%}, {high:.1%}]"
+        text = f"{share} of {self.success.size} episodes"
         return f"{text}, in {np.median(solved):.1f} s" if solved.size else text
 
 
@@ -70,6 +80,7 @@ def evaluate(policy: Any, env: TabletopEnv, episodes: int) -> Evaluation:
     decisions = -(-env.horizon // env.chunk)
     (count,) = env.batch_size
     period = env.chunk / env.task.control_frequency
+    limit = env.horizon / env.task.control_frequency
     success, seconds = [], []
     for index in range(-(-episodes // count)):
         env.start_at(index)
@@ -78,7 +89,8 @@ def evaluate(policy: Any, env: TabletopEnv, episodes: int) -> Evaluation:
         solved = rollout["next", keys.SUCCESS].squeeze(-1).numpy()
         # Decisions after the last unsolved one: solved for good from there on.
         trailing = np.cumprod(solved[:, ::-1], axis=1).sum(axis=1)
-        time = (decisions - trailing + 1) * period
+        # The last decision of an episode may be cut short.
+        time = np.minimum((decisions - trailing + 1) * period, limit)
         success.append(solved[:, -1])
         seconds.append(np.where(solved[:, -1], time, np.nan))
     return Evaluation(

@@ -76,7 +76,7 @@ class RolloutCollector:
     @property
     def frames(self) -> int:
         """Control steps of one rollout, summed over environments."""
-        return self.env.batch_size.numel() * self.env.horizon
+        return int(self.env.batch_size.numel()) * self.env.horizon
 
     def collect(self, iteration: int) -> TensorDictBase:
         """Return the rollout of one iteration, shape (N, T) decisions.

@@ -69,12 +69,19 @@ def make_env(
     for name, value in (("num_envs", num_envs), ("chunk", chunk), ("horizon", horizon)):
         if value is not None and value < 1:
             raise RlcoError(f"{name}={value} is not allowed; give 1 or more.")
+    if seed < 0:
+        raise RlcoError(f"seed={seed} is not allowed; give 0 or more.")
+    if image_size is not None and (len(image_size) != 2 or min(image_size) < 1):
+        raise RlcoError(
+            f"image_size={image_size} is not allowed; give (height, width) in pixels."
+        )
     if effects is not None:
         raise RlcoError(
             "effects= is not supported yet; leave it out, and put what MJCF can hold "
             "into a Domain of your own."
         )
-    task.sample(np.random.default_rng(seed), variation)  # an unknown variation shows before building
+    # An unknown variation shows before anything is built.
+    task.sample(np.random.default_rng(seed), variation)
     stepper: Stepper
     if backend == "native":
         stepper = NativeStepper(task, domain, num_envs=num_envs, threads=threads)

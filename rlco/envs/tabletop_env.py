@@ -31,11 +31,13 @@ class Stepper(Protocol):
     ) -> SceneState:
         """Start episodes in the copies `which`; return all states, (N,)."""
 
-    def step(self, actions: Array, steps: NDArray[np.int64] | None = None) -> SceneState:
+    def step(
+        self, actions: Array, steps: NDArray[np.int64] | None = None
+    ) -> SceneState:
         """Execute chunks (N, H, 7); return states (N, H + 1)."""
 
 
-class TabletopEnv(EnvBase):  # type: ignore[misc] # torchrl is untyped
+class TabletopEnv(EnvBase):
     """N episodes of a task, advanced one action chunk at a time.
 
     One step is one decision: every environment executes the chunk's H control
@@ -106,7 +108,9 @@ class TabletopEnv(EnvBase):  # type: ignore[misc] # torchrl is untyped
         self.observation_spec = Composite(
             {
                 keys.OBSERVATION: Composite(observation, shape=(n,)),
-                keys.INSTRUCTION: NonTensor((n,), example_data=self.task.instructions[0]),
+                keys.INSTRUCTION: NonTensor(
+                    (n,), example_data=self.task.instructions[0]
+                ),
                 keys.INSTRUCTION_ID: Categorical(count, (n,), dtype=torch.int64),
                 keys.SUCCESS: Categorical(2, (n, 1), dtype=torch.bool),
             },
@@ -134,7 +138,7 @@ class TabletopEnv(EnvBase):  # type: ignore[misc] # torchrl is untyped
     ) -> TensorDict:
         (n,) = self.batch_size
         mask = np.ones(n, dtype=bool)
-        if tensordict is not None and "_reset" in tensordict.keys():
+        if tensordict is not None and "_reset" in tensordict:
             mask = tensordict["_reset"].numpy().reshape(n)
         which = np.flatnonzero(mask)
         episodes = (self._episode[which] * n + which).tolist()

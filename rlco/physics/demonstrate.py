@@ -66,8 +66,8 @@ def demonstrate(
     while yielded < episodes:
         if tried >= 40 and yielded < tried / 2:
             raise RlcoError(
-                f"the expert of {task.name!r} solved only {yielded} of {tried} episodes "
-                f"in domain {domain.name!r}; mend the expert or the domain."
+                f"the expert of {task.name!r} solved only {yielded} of {tried} "
+                f"episodes in domain {domain.name!r}; mend the expert or the domain."
             )
         for demonstration in _batch(task, domain, stepper, seed, tried, noise, hold):
             tried += 1

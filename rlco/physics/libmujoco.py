@@ -31,7 +31,7 @@ mj_jacSite = types.ExternalFunction(  # noqa: N816
 )
 
 
-@intrinsic  # type: ignore[misc] # numba is untyped
+@intrinsic
 def _as_float_pointer(typing_context: Any, address: Any) -> Any:
     """Reinterpret an integer address as a pointer to doubles."""
     pointer = types.CPointer(types.float64)
@@ -42,10 +42,11 @@ def _as_float_pointer(typing_context: Any, address: Any) -> Any:
     return pointer(types.intp), generate
 
 
-@njit(inline="always")  # type: ignore[misc]
+@njit(inline="always")
 def doubles(address: int, size: int) -> NDArray[np.float64]:
     """Return a view of `size` doubles at an address, shape (size,)."""
-    return carray(_as_float_pointer(address), (size,))
+    view: NDArray[np.float64] = carray(_as_float_pointer(address), (size,))
+    return view
 
 
 def address_of(array: NDArray[Any]) -> int:

@@ -17,48 +17,13 @@ from typing import Any
 
 import mujoco
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from rlco.errors import SimulationError
 from rlco.physics.domain import Domain
-from rlco.physics.libmujoco import (
-    address_of,
-    doubles,
-    mj_forward,
-    mj_jacSite,
-    mj_resetData,
-    mj_step1,
-    mj_step2,
-)
-from rlco.physics.osc import (
-    NULL_STIFFNESS,
-    joint_torques,
-    orientation_error,
-    robosuite_joint_torques,
-    world_goal,
-)
-from rlco.physics.task import Array, InitialState, SceneState, Task
-
-# Columns of the table of field addresses, one row a copy.
-FIELDS = (
-    "qpos",
-    "qvel",
-    "ctrl",
-    "qfrc_bias",
-    "qM",
-    "site_xpos",
-    "site_xmat",
-    "xpos",
-    "xquat",
-    "mocap_pos",
-)
-_COLUMN = {name: i + 1 for i, name in enumerate(FIELDS)}  # 0: mjData itself
-(_QPOS, _QVEL, _CTRL, _BIAS, _MASS, _SITE_POS, _SITE_MAT, _POS, _QUAT, _MOCAP) = (
-    _COLUMN[name] for name in FIELDS
-)
-# Leading features of a copy: tool position, tool rotation, two fingers, joints.
-_OBJECTS = 3 + 9 + 2 + 7
+from rlco.physics.libmujoco import address_of
+from rlco.physics.native_kernels import FIELDS, OBJECTS, reset_range, step_range
+from rlco.physics.task import Array, InitialState, SceneState, Task, check_actions
 
 
 @dataclass(frozen=True)
@@ -77,193 +42,6 @@ class Layout:
     finger_range: Array  # shape (2, 2), [m]
     gains: Array  # kp (6), kd (6), output scale (6)
     base: Array  # controller origin: position (3), rotation (9)
-
-
-@njit(nogil=True, cache=True)  # type: ignore[misc] # numba is untyped
-def _read(fields: Any, layout: Any, objects: Any, arm_qpos: Any, out: Any) -> None:
-    """Write one copy's features."""
-    site, finger = layout[0], layout[1]
-    out[0:3] = doubles(fields[_SITE_POS] + 24 * site, 3)
-    out[3:12] = doubles(fields[_SITE_MAT] + 72 * site, 9)
-    qpos = doubles(fields[_QPOS], layout[4])
-    out[12] = qpos[finger]
-    out[13] = qpos[finger + 1]
-    for i in range(7):
-        out[14 + i] = qpos[arm_qpos[i]]
-    for k in range(objects.shape[0]):
-        start = _OBJECTS + 7 * k
-        out[start : start + 3] = doubles(fields[_POS] + 24 * objects[k], 3)
-        out[start + 3 : start + 7] = doubles(fields[_QUAT] + 32 * objects[k], 4)
-
-
-@njit(nogil=True, cache=True)  # type: ignore[misc]
-def _step_range(
-    first: int,
-    last: int,
-    exact: bool,
-    model: int,
-    fields: Any,
-    layout: Any,
-    objects: Any,
-    arm_qpos: Any,
-    arm_dof: Any,
-    mass_address: Any,
-    parent: Any,
-    arm_range: Any,
-    finger_range: Any,
-    gains: Any,
-    base: Any,
-    posture: Any,
-    grip: Any,
-    pending: Any,
-    actions: Any,
-    steps: Any,
-    out: Any,
-) -> None:
-    """Execute `steps[e]` control steps of copies `first` to `last`."""
-    site, finger, arm_ctrl, finger_ctrl, nq, nv, substeps = (
-        layout[0],
-        layout[1],
-        layout[2],
-        layout[3],
-        layout[4],
-        layout[5],
-        layout[6],
-    )
-    n, delay = arm_dof.shape[0], pending.shape[1]
-    mass = np.empty((n, n))
-    jacobian = np.zeros((6, nv))
-    arm_jacobian = np.empty((6, n))
-    bias, torque, null = np.empty(n), np.empty(n), np.empty(n)
-    now_qpos, now_qvel = np.empty(n), np.empty(n)
-    wanted, velocity, error = np.empty(6), np.empty(6), np.empty(3)
-    goal, goal_rotation = np.empty(3), np.empty((3, 3))
-    stiffness, damping, scale = gains[:6], gains[6:12], gains[12:18]
-    null_damping = 2.0 * np.sqrt(NULL_STIFFNESS)
-    action = np.empty(actions.shape[2])
-    target = np.empty(2)
-    for e in range(first, last):
-        f = fields[e]
-        qpos, qvel = doubles(f[_QPOS], nq), doubles(f[_QVEL], nv)
-        ctrl = doubles(f[_CTRL], finger_ctrl + 2)
-        qfrc = doubles(f[_BIAS], nv)
-        qm = doubles(f[_MASS], layout[7])
-        tool = doubles(f[_SITE_POS] + 24 * site, 3)
-        rotation = doubles(f[_SITE_MAT] + 72 * site, 9)
-        for t in range(steps[e]):
-            # The command that was given `delay` control steps ago.
-            if delay:
-                action[:] = pending[e, 0]
-                for i in range(delay - 1):
-                    pending[e, i] = pending[e, i + 1]
-                pending[e, delay - 1] = actions[e, t]
-            else:
-                action[:] = actions[e, t]
-            for s in range(substeps):
-                mj_step1(model, f[0])
-                mj_jacSite(
-                    model, f[0], jacobian.ctypes.data, jacobian[3:].ctypes.data, site
-                )
-                if s == 0:
-                    move = np.empty(6)
-                    for i in range(6):
-                        move[i] = min(max(action[i], -1.0), 1.0) * scale[i]
-                    world_goal(base, tool, rotation, move, goal, goal_rotation)
-                    side = np.sign(action[6])
-                    grip[e, 0] = min(max(grip[e, 0] - 0.2 * side, -1.0), 1.0)
-                    grip[e, 1] = min(max(grip[e, 1] + 0.2 * side, -1.0), 1.0)
-                    for i in range(2):
-                        low, high = finger_range[i, 0], finger_range[i, 1]
-                        target[i] = 0.5 * (high + low) + 0.5 * (high - low) * grip[e, i]
-                for r in range(6):
-                    for i in range(n):
-                        arm_jacobian[r, i] = jacobian[r, arm_dof[i]]
-                if exact:
-                    velocity[:3] = np.dot(jacobian[:3], qvel)
-                    velocity[3:] = np.dot(jacobian[3:], qvel)
-                else:
-                    for r in range(6):
-                        velocity[r] = 0.0
-                        for i in range(n):
-                            velocity[r] += arm_jacobian[r, i] * qvel[arm_dof[i]]
-                orientation_error(goal_rotation, rotation, error)
-                for r in range(3):
-                    wanted[r] = (goal[r] - tool[r]) * stiffness[r]
-                    wanted[3 + r] = error[r] * stiffness[3 + r]
-                for r in range(6):
-                    wanted[r] -= velocity[r] * damping[r]
-                mass[:] = 0.0
-                for i in range(n):
-                    bias[i] = qfrc[arm_dof[i]]
-                    null[i] = (
-                        NULL_STIFFNESS * (posture[e, i] - qpos[arm_qpos[i]])
-                        - null_damping * qvel[arm_dof[i]]
-                    )
-                    # Row i of the sparse mass matrix: itself, then its ancestors.
-                    dof, at = arm_dof[i], mass_address[arm_dof[i]]
-                    while dof >= 0:
-                        for j in range(i + 1):
-                            if arm_dof[j] == dof:
-                                mass[i, j] = qm[at]
-                                mass[j, i] = qm[at]
-                        dof = parent[dof]
-                        at += 1
-                if exact:
-                    for i in range(n):
-                        now_qpos[i] = qpos[arm_qpos[i]]
-                        now_qvel[i] = qvel[arm_dof[i]]
-                    robosuite_joint_torques(
-                        mass,
-                        arm_jacobian,
-                        bias,
-                        wanted,
-                        posture[e],
-                        now_qpos,
-                        now_qvel,
-                        torque,
-                    )
-                else:
-                    joint_torques(mass, arm_jacobian, bias, wanted, null, torque)
-                for i in range(n):
-                    low, high = arm_range[i, 0], arm_range[i, 1]
-                    ctrl[arm_ctrl + i] = min(max(torque[i], low), high)
-                ctrl[finger_ctrl] = target[0]
-                ctrl[finger_ctrl + 1] = target[1]
-                mj_step2(model, f[0])
-            _read(f, layout, objects, arm_qpos, out[e, t + 1])
-
-
-@njit(nogil=True, cache=True)  # type: ignore[misc]
-def _reset_range(
-    which: Any,
-    model: int,
-    fields: Any,
-    layout: Any,
-    objects: Any,
-    mocap: Any,
-    object_joints: Any,
-    arm_qpos: Any,
-    joints: Any,
-    poses: Any,
-    goals: Any,
-    out: Any,
-) -> None:
-    """Place robot, objects and marks of the copies `which`, and update the rest."""
-    for row in range(which.shape[0]):
-        e = which[row]
-        f = fields[e]
-        mj_resetData(model, f[0])
-        qpos = doubles(f[_QPOS], layout[4])
-        for i in range(arm_qpos.shape[0]):
-            qpos[arm_qpos[i]] = joints[row, i]
-        qpos[layout[1]] = 0.0
-        qpos[layout[1] + 1] = 0.0
-        for k in range(object_joints.shape[0]):
-            qpos[object_joints[k] : object_joints[k] + 7] = poses[row, k]
-        for k in range(mocap.shape[0]):
-            doubles(f[_MOCAP] + 24 * mocap[k], 3)[:] = goals[row, k]
-        mj_forward(model, f[0])
-        _read(f, layout, objects, arm_qpos, out[e])
 
 
 class NativeStepper:
@@ -316,8 +94,8 @@ class NativeStepper:
             for d in self.data
         ]
         self._fields = np.array(rows, dtype=np.int64)
-        size = _OBJECTS + 7 * len(task.objects)
-        self.features = np.zeros((num_envs, size))
+        size = OBJECTS + 7 * len(task.objects)
+        self.features: Array = np.zeros((num_envs, size))
         self.goals = np.zeros((num_envs, len(task.goals), 3))
         self.instruction_id = np.zeros(num_envs, dtype=np.int64)
         self._posture = np.zeros((num_envs, 7))
@@ -350,9 +128,12 @@ class NativeStepper:
         self._posture[which] = joints
         self._grip[which] = (-1.0, 1.0)
         self._pending[which] = 0.0
+        # New arrays: states returned earlier hold views of the old ones.
+        self.features, self.goals = self.features.copy(), self.goals.copy()
+        self.instruction_id = self.instruction_id.copy()
         self.goals[which] = goals
         self.instruction_id[which] = [start.instruction_id for start in initial]
-        _reset_range(
+        reset_range(
             which,
             self.model._address,
             self._fields,
@@ -383,8 +164,10 @@ class NativeStepper:
             (N, H + 1); rows beyond `steps` repeat the last executed one.
 
         Raises:
+            RlcoError: If an action is NaN or infinite.
             SimulationError: If a copy diverges.
         """
+        check_actions(actions)
         count, horizon, _ = actions.shape
         if steps is None:
             steps = np.full(count, horizon, dtype=np.int64)
@@ -413,11 +196,9 @@ class NativeStepper:
             out,
         )
         if self._pool is None:
-            _step_range(0, count, *arguments)
+            step_range(0, count, *arguments)
         else:
-            jobs = [
-                self._pool.submit(_step_range, *r, *arguments) for r in self._ranges
-            ]
+            jobs = [self._pool.submit(step_range, *r, *arguments) for r in self._ranges]
             for job in jobs:
                 job.result()
         for e in np.flatnonzero(steps < horizon):
@@ -439,7 +220,7 @@ class NativeStepper:
         self, features: Array, goals: Array, ids: NDArray[np.int64]
     ) -> SceneState:
         lead = features.shape[:-1]
-        objects = features[..., _OBJECTS:].reshape(*lead, -1, 7)
+        objects = features[..., OBJECTS:].reshape(*lead, -1, 7)
         return SceneState(
             tool_position=features[..., :3],
             tool_rotation=features[..., 3:12].reshape(*lead, 3, 3),

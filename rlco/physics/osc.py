@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 NULL_STIFFNESS = 10.0  # of robosuite's null-space posture task [1/s^2]
 
 
-@njit(cache=True)  # type: ignore[misc] # numba is untyped
+@njit(cache=True)
 def delta_rotation(vector: Array) -> Array:
     """Return the rotation matrix of a rotation vector [rad], shape (3, 3).
 
@@ -48,7 +48,7 @@ def delta_rotation(vector: Array) -> Array:
     return rotation
 
 
-@njit(cache=True)  # type: ignore[misc]
+@njit(cache=True)
 def world_goal(
     base: Array, tool: Array, rotation: Array, move: Array, goal: Array, turned: Array
 ) -> None:
@@ -76,7 +76,7 @@ def world_goal(
     turned[:] = np.dot(frame, np.dot(delta_rotation(move[3:].copy()), local))
 
 
-@njit(cache=True)  # type: ignore[misc]
+@njit(cache=True)
 def _factor(a: Array, n: int) -> None:
     """Cholesky-factor the leading n x n block of a symmetric matrix in place."""
     for j in range(n):
@@ -88,7 +88,7 @@ def _factor(a: Array, n: int) -> None:
             a[i, j] *= scale
 
 
-@njit(cache=True)  # type: ignore[misc]
+@njit(cache=True)
 def _solve(factor: Array, x: Array, n: int) -> None:
     """Solve with a Cholesky factor in place."""
     for i in range(n):
@@ -101,7 +101,7 @@ def _solve(factor: Array, x: Array, n: int) -> None:
         x[i] /= factor[i, i]
 
 
-@njit(cache=True)  # type: ignore[misc]
+@njit(cache=True)
 def joint_torques(
     mass: Array,
     jacobian: Array,
@@ -170,7 +170,7 @@ def joint_torques(
             torque[i] += jacobian[r, i] * (acceleration[r] - wrench[r])
 
 
-@njit(cache=True)  # type: ignore[misc]
+@njit(cache=True)
 def orientation_error(desired: Array, current: Array, error: Array) -> None:
     """Write half the sum of the crossed axes, (3,), [rad]; matrices (3, 3), (9,)."""
     for a in range(3):
@@ -183,7 +183,7 @@ def orientation_error(desired: Array, current: Array, error: Array) -> None:
         error[a] = 0.5 * total
 
 
-@njit(cache=True)  # type: ignore[misc]
+@njit(cache=True)
 def robosuite_joint_torques(
     mass: Array,
     jacobian: Array,

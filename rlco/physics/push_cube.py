@@ -10,6 +10,7 @@ cube"; thresholds of the paper are unpublished).
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rlco.errors import UnknownNameError
 from rlco.physics.domain import Domain
@@ -113,16 +114,18 @@ def environment_state(objects: Array, goals: Array) -> Array:
 def named(state: SceneState, positions: Array) -> Array:
     """Pick the named cube's row: (..., 3, 3) -> (..., 3)."""
     index = state.instruction_id[..., None, None]
-    return np.take_along_axis(positions, index, axis=-2)[..., 0, :]
+    row: Array = np.take_along_axis(positions, index, axis=-2)[..., 0, :]
+    return row
 
 
 def distance(state: SceneState) -> Array:
     """Return how far the named cube is from its mark, in the plane [m]."""
     gap = named(state, state.object_position) - named(state, state.goal_position)
-    return np.linalg.norm(gap[..., :2], axis=-1)
+    length: Array = np.linalg.norm(gap[..., :2], axis=-1)
+    return length
 
 
-def success(state: SceneState) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def success(state: SceneState) -> NDArray[np.bool_]:
     """Return whether the named cube lies on its mark, on the table."""
     height = named(state, state.object_position)[..., 2] - TABLE_HEIGHT
     return (distance(state) < TOLERANCE) & (np.abs(height - HALF_SIZE) < 0.01)
@@ -140,7 +143,8 @@ def shaped_reward(before: SceneState, after: SceneState) -> Array:
         start[..., 2] = PUSH_HEIGHT
         reach = np.linalg.norm(state.tool_position - start, axis=-1)
         # Within 7 cm the tool is at work; pushing must not cost reach reward.
-        return -10.0 * distance(state) - 2.0 * np.maximum(reach, 0.07)
+        value: Array = -10.0 * distance(state) - 2.0 * np.maximum(reach, 0.07)
+        return value
 
     return potential(after) - potential(before) + 0.05 * success(after)
 
@@ -149,7 +153,8 @@ def push_direction(state: SceneState) -> Array:
     """Return the unit vector from the named cube to its mark, (..., 2)."""
     gap = named(state, state.goal_position) - named(state, state.object_position)
     length = np.linalg.norm(gap[..., :2], axis=-1, keepdims=True)
-    return gap[..., :2] / np.maximum(length, 1e-9)
+    direction: Array = gap[..., :2] / np.maximum(length, 1e-9)
+    return direction
 
 
 def push_start(state: SceneState) -> Array:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from rlco.errors import SimulationError
 from rlco.physics.domain import Domain
-from rlco.physics.task import Array, InitialState, SceneState, Task
+from rlco.physics.task import Array, InitialState, SceneState, Task, check_actions
 
 
 def stack_states(states: list[SceneState], axis: int = 0) -> SceneState:
@@ -31,6 +32,10 @@ class RobosuiteStepper:
         self.domain = domain
         self.num_envs = num_envs
         self.envs = [Tabletop(task, domain) for _ in range(num_envs)]
+        for env in self.envs:
+            # A diverged state must show as NaN, not start over from the model's zero.
+            flags = env.sim.model._model.opt
+            flags.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
         self.model = self.envs[0].sim.model._model
         self.data = [env.sim.data._data for env in self.envs]
 
@@ -43,8 +48,16 @@ class RobosuiteStepper:
             self.envs[index].start(start)
         return self.scene_state()
 
-    def step(self, actions: Array, steps: NDArray[np.int64] | None = None) -> SceneState:
-        """Execute action chunks (N, H, 7); return states (N, H + 1)."""
+    def step(
+        self, actions: Array, steps: NDArray[np.int64] | None = None
+    ) -> SceneState:
+        """Execute action chunks (N, H, 7); return states (N, H + 1).
+
+        Raises:
+            RlcoError: If an action is NaN or infinite.
+            SimulationError: If a copy diverges.
+        """
+        check_actions(actions)
         count, horizon, _ = actions.shape
         if steps is None:
             steps = np.full(count, horizon, dtype=np.int64)

@@ -24,7 +24,7 @@ TABLE_SIZE = (0.8, 0.8, 0.05)
 CAMERA = "agentview"
 
 
-class Tabletop(ManipulationEnv):  # type: ignore[misc] # robosuite is untyped
+class Tabletop(ManipulationEnv):
     """robosuite's Panda at a table, with a task's objects and rules.
 
     An ordinary robosuite environment: ``reset()``, ``step(action)``, ``reward()``,

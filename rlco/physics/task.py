@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.errors import UnknownNameError
+from rlco.errors import RlcoError, UnknownNameError
 
 if TYPE_CHECKING:
     from rlco.physics.domain import Domain
@@ -113,7 +113,25 @@ class Task:
         """
         if kind == "shaped":
             return self.shaped_reward(before, after)
-        return self.success(after).astype(float) - self.success(before).astype(float)
+        now, then = self.success(after), self.success(before)
+        change: Array = now.astype(float) - then.astype(float)
+        return change
+
+
+def check_actions(actions: Array) -> None:
+    """Refuse action chunks (N, H, 7) that hold NaN or infinity.
+
+    MuJoCo would warn, command zero torques and go on.
+
+    Raises:
+        RlcoError: If a number is not finite.
+    """
+    bad = np.flatnonzero(~np.isfinite(actions).all(axis=(1, 2)))
+    if bad.size:
+        raise RlcoError(
+            f"the actions of environments {bad.tolist()} are NaN or infinite; check "
+            "the policy that gives them."
+        )
 
 
 def make_task(task: str | Task) -> Task:
@@ -130,7 +148,7 @@ def make_task(task: str | Task) -> Task:
         return task
     from rlco.physics import push_cube
 
-    tasks = {module.TASK.name: module.TASK for module in (push_cube,)}
+    tasks: dict[str, Task] = {module.TASK.name: module.TASK for module in (push_cube,)}
     if task not in tasks:
         raise UnknownNameError("task", task, sorted(tasks))
     return tasks[task]

@@ -18,12 +18,17 @@ Array = NDArray[np.float64]
 
 
 class WatchedTabletop(Tabletop):
-    """Notes whether the robot touched anything in any physics step of the last step."""
+    """Notes what the robot touched in any physics step of the last control step.
 
-    touched = False
+    Attributes:
+        touched: Whether it touched anything, one finger the other included.
+        touched_others: Whether it touched anything but itself.
+    """
+
+    touched = touched_others = False
 
     def step(self, action: Array) -> Any:
-        self.touched = False
+        self.touched = self.touched_others = False
         return super().step(action)
 
     def _pre_action(self, action: Array, policy_step: bool = False) -> None:
@@ -34,6 +39,7 @@ class WatchedTabletop(Tabletop):
         roots = model.body_rootid[bodies]
         robot = model.body("robot0_base").rootid[0]
         self.touched |= bool((roots == robot).any())
+        self.touched_others |= bool(((roots == robot).sum(axis=1) == 1).any())
 
 
 def starts(count: int, seed: int = 0) -> list[InitialState]:
