@@ -14,11 +14,23 @@ import time
 from dataclasses import dataclass
 from typing import Any
 
+from rlco import keys
 from rlco.config import REQUIRED, RunOptions, option
 from rlco.errors import CheckpointError, ConfigError
 from rlco.run import Run, run_recipe
 
 log = logging.getLogger("rlco.rl_co")
+
+# What the loss reads of a rollout; text and raw actions stay behind.
+KEPT = (
+    keys.STATE,
+    keys.ENVIRONMENT_STATE,
+    keys.INSTRUCTION_ID,
+    keys.SAMPLE,
+    keys.ADVANTAGE,
+    keys.VALUE_TARGET,
+    keys.STATE_VALUE,
+)
 
 
 @dataclass
@@ -98,24 +110,46 @@ def load(config: Config) -> tuple[Any, dict[str, Any]]:
     return policy, demos
 
 
-def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
-    """Train, and save the policy to the run's folder ``policy``."""
+@dataclass
+class Learner:
+    """What is trained, and what trains it."""
+
+    policy: Any
+    critic: Any
+    loss: Any
+    buffer: Any
+    actor_optimizer: Any
+    critic_optimizer: Any
+
+    def modules(self) -> dict[str, Any]:
+        """Everything that a checkpoint holds by its state dict."""
+        names = ("policy", "critic", "actor_optimizer", "critic_optimizer")
+        return {name: getattr(self, name) for name in names}
+
+    def state(self) -> dict[str, Any]:
+        """Return what a checkpoint holds."""
+        modules = self.modules().items()
+        state = {name: dict(module.state_dict()) for name, module in modules}
+        return state | {"buffer": self.buffer.state_dict(rows=False)}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from a checkpoint."""
+        for name, module in self.modules().items():
+            module.load_state_dict(state[name])
+        self.buffer.load_state_dict(state["buffer"])
+
+
+def make_learner(
+    config: Config, policy: Any, demos: dict[str, Any], rows: int
+) -> Learner:
+    """Put critic, loss, buffer and optimisers around a policy."""
     import torch
     from torchrl.data import LazyTensorStorage, ReplayBuffer
     from torchrl.objectives import ClipPPOLoss
 
-    from rlco import keys
-    from rlco.collectors import RolloutCollector
     from rlco.data import SimRealReplayBuffer
-    from rlco.envs import make_env
-    from rlco.evaluation import evaluate, evaluation_env
-    from rlco.losses import (
-        CoTrainingLoss,
-        ImitationLoss,
-        gradient_agreement,
-        log_probs,
-    )
-    from rlco.policies import ValueNetwork, save_policy
+    from rlco.losses import CoTrainingLoss, ImitationLoss
+    from rlco.policies import ValueNetwork
 
     sizes = {
         name: policy.arguments[name]
@@ -123,6 +157,99 @@ def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
     }
     critic = ValueNetwork(policy.arguments["state_size"], **sizes)
     critic.encoder.load_state_dict(policy.encoder.state_dict())  # its normalisation
+    anchored = config.real_coeff > 0
+    batch_size = config.minibatch + (config.real_rows if anchored else 0)
+    buffer = SimRealReplayBuffer(
+        ReplayBuffer(storage=LazyTensorStorage(rows)),
+        demos["real_demos"] if anchored else None,
+        sim_ratio=config.minibatch / batch_size,
+        batch_size=batch_size,
+    )
+    ppo = ClipPPOLoss(
+        policy,
+        critic,
+        clip_epsilon=config.clip,
+        entropy_bonus=False,
+        critic_coeff=1.0,
+        loss_critic_type="l2",
+    )
+    anchor = ImitationLoss(policy) if anchored else None
+    return Learner(
+        policy,
+        critic,
+        CoTrainingLoss(ppo, anchor, real_coeff=config.real_coeff),
+        buffer,
+        torch.optim.Adam(policy.parameters(), lr=config.lr),
+        torch.optim.Adam(critic.parameters(), lr=config.critic_lr),
+    )
+
+
+def update(
+    config: Config, learner: Learner, rollout: Any, *, train_policy: bool
+) -> dict[str, float]:
+    """Pass over a rollout, each minibatch with fresh real rows; return the means."""
+    from torch.nn.utils import clip_grad_norm_
+
+    from rlco.losses import gradient_agreement, log_probs
+
+    flat = rollout.select(*KEPT).reshape(-1)
+    # The old log-probability by the learner itself: the first ratio is 1.
+    flat.set(keys.LOG_PROB, log_probs(learner.policy, flat, rows=config.minibatch))
+    learner.buffer.empty()
+    learner.buffer.extend(flat)
+    row: dict[str, float] = {}
+    sums: dict[str, float] = {}
+    minibatches = 0
+    for _ in range(config.epochs):
+        for batch in learner.buffer:
+            if minibatches == 0 and config.real_coeff > 0:
+                row |= gradient_agreement(learner.loss, batch)
+            out = learner.loss(batch)
+            if minibatches == 0:
+                row["first_ratio"] = float(out["max_ratio"])
+            learner.actor_optimizer.zero_grad()
+            learner.critic_optimizer.zero_grad()
+            sum(v for k, v in out.items() if k.startswith("loss_")).backward()
+            clip_grad_norm_(learner.critic.parameters(), 10.0)
+            learner.critic_optimizer.step()
+            if train_policy:
+                clip_grad_norm_(learner.policy.parameters(), config.max_grad_norm)
+                learner.actor_optimizer.step()
+            minibatches += 1
+            for name, value in out.items():
+                sums[name] = sums.get(name, 0.0) + float(value.detach())
+    return row | {name: total / minibatches for name, total in sums.items()}
+
+
+def measure(config: Config, policy: Any, places: dict[str, Any]) -> dict[str, float]:
+    """Return success in each place, always from the same initial states."""
+    from rlco.evaluation import evaluate
+
+    return {
+        f"success_{domain}": evaluate(policy, env, config.eval_episodes).rate
+        for domain, env in places.items()
+    }
+
+
+def forgetting(policy: Any, demos: dict[str, Any]) -> dict[str, float]:
+    """Return the imitation loss on demonstrations that nothing was trained on."""
+    import torch
+
+    if "heldout_demos" not in demos:
+        return {}
+    frames = demos["heldout_demos"].frames()
+    with torch.no_grad():
+        steps = policy.imitation_loss(frames)
+    return {"imitation_error_heldout": float(steps[~frames[keys.IS_PAD]].mean())}
+
+
+def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
+    """Train, and save the policy to the run's folder ``policy``."""
+    from rlco.collectors import RolloutCollector
+    from rlco.envs import make_env
+    from rlco.evaluation import evaluation_env
+    from rlco.policies import save_policy
+
     env = make_env(
         config.task,
         backend=config.backend,
@@ -131,125 +258,39 @@ def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
         reward=config.reward,
         seed=config.seed,
     )
-    collector = RolloutCollector(
-        env, policy, critic, gamma=config.gamma, lmbda=config.lmbda
-    )
-    rows = config.num_envs * collector.decisions
-    anchored = config.real_coeff > 0
-    real = demos["real_demos"] if anchored else None
-    real_rows = config.real_rows if anchored else 0
-    buffer = SimRealReplayBuffer(
-        ReplayBuffer(storage=LazyTensorStorage(rows)),
-        real,
-        sim_ratio=config.minibatch / (config.minibatch + real_rows),
-        batch_size=config.minibatch + real_rows,
-    )
-    loss = CoTrainingLoss(
-        ClipPPOLoss(
-            policy,
-            critic,
-            clip_epsilon=config.clip,
-            entropy_bonus=False,
-            critic_coeff=1.0,
-            loss_critic_type="l2",
-        ),
-        ImitationLoss(policy) if anchored else None,
-        real_coeff=config.real_coeff,
-    )
-    actor_optimizer = torch.optim.Adam(policy.parameters(), lr=config.lr)
-    critic_optimizer = torch.optim.Adam(critic.parameters(), lr=config.critic_lr)
-    modules = {
-        "policy": policy,
-        "critic": critic,
-        "actor_optimizer": actor_optimizer,
-        "critic_optimizer": critic_optimizer,
+    places = {
+        domain: evaluation_env(
+            config.task, domain, chunk=policy.chunk, episodes=config.eval_episodes
+        )
+        for domain in (config.eval_domains if config.eval_episodes else [])
     }
+    decisions = config.num_envs * -(-env.horizon // env.chunk)
+    learner = make_learner(config, policy, demos, decisions)
+    collector = RolloutCollector(
+        env, policy, learner.critic, gamma=config.gamma, lmbda=config.lmbda
+    )
     if (saved := run.load_checkpoint()) is not None:
-        for name, module in modules.items():
-            module.load_state_dict(saved[name])
-        buffer.load_state_dict(saved["buffer"])
-
-    def measure() -> dict[str, float]:
-        """Success in each domain, and the error on demonstrations never trained on."""
-        found = {}
-        for domain in config.eval_domains if config.eval_episodes else []:
-            place = evaluation_envs.setdefault(
-                domain,
-                evaluation_env(
-                    config.task,
-                    domain,
-                    chunk=policy.chunk,
-                    episodes=config.eval_episodes,
-                ),
-            )
-            result = evaluate(policy, place, config.eval_episodes)
-            found[f"success_{domain}"] = result.rate
-        return found
-
-    def forgetting() -> dict[str, float]:
-        if "heldout_demos" not in demos:
-            return {}
-        frames = demos["heldout_demos"].frames()
-        with torch.no_grad():
-            steps = policy.imitation_loss(frames)
-        return {"imitation_error_heldout": float(steps[~frames[keys.IS_PAD]].mean())}
-
-    evaluation_envs: dict[str, Any] = {}
+        learner.load(saved)
     if run.step is None:
-        run.log_metrics(0, {"frames": 0, **measure(), **forgetting()})
+        before = measure(config, policy, places) | forgetting(policy, demos)
+        run.log_metrics(0, {"frames": 0, **before})
 
-    kept = [
-        keys.STATE,
-        keys.ENVIRONMENT_STATE,
-        keys.INSTRUCTION_ID,
-        keys.SAMPLE,
-        keys.ADVANTAGE,
-        keys.VALUE_TARGET,
-        keys.STATE_VALUE,
-    ]
     for iteration in run.iterations(config.iterations):
         started = time.perf_counter()
         rollout = collector.collect(iteration)
         collected = time.perf_counter()
-        flat = rollout.select(*kept).reshape(-1)
-        flat.set(keys.LOG_PROB, log_probs(policy, flat, rows=config.minibatch))
-        buffer.empty()
-        buffer.extend(flat)
-
-        row: dict[str, float] = {
+        solved = rollout["next", keys.SUCCESS][:, -1]
+        row = {
             "frames": iteration * collector.frames,
             "return_mean": float(rollout["next", keys.REWARD].sum(1).mean()),
-            "success_rollout": float(
-                rollout["next", keys.SUCCESS][:, -1].float().mean()
-            ),
+            "success_rollout": float(solved.float().mean()),
         }
-        sums: dict[str, float] = {}
-        minibatches = 0
-        for _ in range(config.epochs):
-            for batch in buffer:
-                if minibatches == 0 and anchored:
-                    row |= gradient_agreement(loss, batch)
-                out = loss(batch)
-                if minibatches == 0:
-                    row["first_ratio"] = float(out["max_ratio"])
-                actor_optimizer.zero_grad()
-                critic_optimizer.zero_grad()
-                sum(v for k, v in out.items() if k.startswith("loss_")).backward()
-                torch.nn.utils.clip_grad_norm_(critic.parameters(), 10.0)
-                critic_optimizer.step()
-                if iteration > config.critic_iterations:
-                    torch.nn.utils.clip_grad_norm_(
-                        policy.parameters(), config.max_grad_norm
-                    )
-                    actor_optimizer.step()
-                minibatches += 1
-                for name, value in out.items():
-                    sums[name] = sums.get(name, 0.0) + float(value.detach())
-        row |= {name: total / minibatches for name, total in sums.items()}
-        row |= forgetting()
+        train_policy = iteration > config.critic_iterations
+        row |= update(config, learner, rollout, train_policy=train_policy)
+        row |= forgetting(policy, demos)
         learned = time.perf_counter()
         if iteration % config.eval_every == 0 or iteration == config.iterations:
-            row |= measure()
+            row |= measure(config, policy, places)
         run.log_metrics(iteration, row)
         run.log_timings(
             iteration,
@@ -260,9 +301,7 @@ def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
                 "frames_per_second": collector.frames / (learned - started),
             },
         )
-        state = {name: dict(module.state_dict()) for name, module in modules.items()}
-        state["buffer"] = buffer.state_dict(rows=False)
-        run.save_checkpoint(iteration, state)
+        run.save_checkpoint(iteration, learner.state())
     collector.close()
     save_policy(
         policy,

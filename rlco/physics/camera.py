@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 import mujoco
@@ -30,11 +29,19 @@ class Camera:
         image_size: tuple[int, int],
         name: str = "agentview",
     ) -> None:
-        backend = os.environ.get("MUJOCO_GL", "")
+        # What MuJoCo chose when it was imported; robosuite sets MUJOCO_GL afterwards.
+        context = getattr(mujoco, "GLContext", None)
+        backend = context.__module__.rpartition(".")[-1] if context else "disabled"
         try:
             self._renderer = mujoco.Renderer(model, *image_size)
         # What a missing library raises differs by backend and by library.
-        except (ImportError, AttributeError, RuntimeError, OSError) as error:
+        except (
+            ImportError,
+            AttributeError,
+            RuntimeError,
+            OSError,
+            mujoco.FatalError,
+        ) as error:
             raise RenderingError(backend, str(error)) from error
         self._name = name
         self._options = mujoco.MjvOption()

@@ -132,21 +132,44 @@ def success(state: SceneState) -> NDArray[np.bool_]:
 
 
 def shaped_reward(before: SceneState, after: SceneState) -> Array:
-    """Return 10 a metre of the cube's progress, 2 a metre of the tool's, 0.05 at goal.
+    """Return 10 a metre of the cube's progress, 4 a metre of the tool's, 0.05 at goal.
 
-    The first two are differences of a potential, so nothing is gained by going
-    to and fro; the last makes it worth arriving early and staying.
+    The tool's progress is towards the corridor behind the named cube, from which
+    pushing succeeds. The first two are differences of a potential, so nothing is
+    gained by going to and fro; the last makes it worth arriving early and staying.
     """
 
     def potential(state: SceneState) -> Array:
-        start = push_start(state)
-        start[..., 2] = PUSH_HEIGHT
-        reach = np.linalg.norm(state.tool_position - start, axis=-1)
-        # Within 7 cm the tool is at work; pushing must not cost reach reward.
-        value: Array = -10.0 * distance(state) - 2.0 * np.maximum(reach, 0.07)
+        gap = distance(state)
+        # At the mark the direction of pushing, and so the corridor, loses its meaning.
+        wanted = np.clip((gap - 0.01) / 0.02, 0.0, 1.0)
+        value: Array = -10.0 * gap - 4.0 * wanted * astray(state)
         return value
 
     return potential(after) - potential(before) + 0.05 * success(after)
+
+
+def placing(state: SceneState) -> tuple[Array, Array]:
+    """Return where the tool is, seen from the named cube towards its mark [m].
+
+    Returns:
+        How far it is ahead of the cube (negative: behind) and beside the line
+        through both, each shape (...).
+    """
+    offset = state.tool_position - named(state, state.object_position)
+    forward = push_direction(state)
+    along: Array = (offset[..., :2] * forward).sum(-1)
+    across = offset[..., :2] - along[..., None] * forward
+    return along, np.linalg.norm(across, axis=-1)
+
+
+def astray(state: SceneState) -> Array:
+    """Return the tool's distance to the corridor behind the named cube [m]."""
+    along, sideways = placing(state)
+    short = np.maximum(-STANDOFF - along, 0.0)
+    past = np.maximum(along + 0.02, 0.0)
+    away: Array = np.sqrt(sideways**2 + short**2 + past**2)
+    return away
 
 
 def push_direction(state: SceneState) -> Array:
@@ -173,15 +196,8 @@ def expert(state: SceneState) -> Array:
     """
     tool = state.tool_position
     forward = push_direction(state)
-    offset = tool[..., :2] - named(state, state.object_position)[..., :2]
-    along = (offset * forward).sum(-1, keepdims=True)
-    across = offset - along * forward
-    sideways = np.linalg.norm(across, axis=-1, keepdims=True)
+    along, sideways = (part[..., None] for part in placing(state))
     start = push_start(state)[..., :2] - tool[..., :2]
-    # How far it is from the corridor that leads from there to the cube.
-    short = np.maximum(-STANDOFF - along, 0.0)
-    past = np.maximum(along + 0.02, 0.0)
-    astray = np.sqrt(sideways**2 + short**2 + past**2)
 
     low = np.clip((PUSH_HEIGHT + 0.025 - tool[..., 2:]) / 0.015, 0.0, 1.0)
     # Strict before it touches the cube, lenient once it pushes.
@@ -194,7 +210,7 @@ def expert(state: SceneState) -> Array:
     push = np.clip(gap - 0.004, 0.0, 0.035) * forward
     plane = placed * push + (1.0 - placed) * 0.6 * start
     # High where it still has to travel, low once it is behind the cube.
-    rise = np.clip((astray - 0.025) / 0.02, 0.0, 1.0)
+    rise = np.clip((astray(state)[..., None] - 0.025) / 0.02, 0.0, 1.0)
     height = PUSH_HEIGHT + rise * (TRAVEL_HEIGHT - PUSH_HEIGHT) - tool[..., 2:]
     # Too low to travel: rise first, or a cube would be hit on the way.
     plane = plane * (1.0 - np.clip(height / 0.03, 0.0, 0.95))

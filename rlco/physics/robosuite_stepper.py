@@ -64,10 +64,14 @@ class RobosuiteStepper:
         rows, broken = [], []
         for index, env in enumerate(self.envs):
             states = [env.scene_state()]
-            for t in range(horizon):
-                if t < steps[index]:
-                    env.step(actions[index, t])
-                states.append(env.scene_state())
+            try:
+                for t in range(horizon):
+                    if t < steps[index]:
+                        env.step(actions[index, t])
+                    states.append(env.scene_state())
+            except np.linalg.LinAlgError:  # robosuite's controller inverted NaN
+                broken.append(index)
+                continue
             rows.append(stack_states(states))
             if not np.isfinite(env.sim.data._data.qpos).all():
                 broken.append(index)

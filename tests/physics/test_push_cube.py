@@ -112,7 +112,7 @@ def test_starts_lie_within_their_bounds() -> None:
     columns = np.sort(cubes[..., 1], axis=1)
     assert np.abs(columns - [-0.14, 0.0, 0.14]).max() <= 0.02
     # Cubes rest on the table and never overlap: 5 cm wide, 10 cm apart.
-    assert (cubes[..., 2] == 0.825).all()
+    np.testing.assert_allclose(cubes[..., 2], 0.825)
     assert np.diff(columns, axis=1).min() >= 0.10 - 1e-12
     ahead = marks - cubes[..., :3]
     assert ahead[..., 0].min() >= 0.13

@@ -1,0 +1,47 @@
+"""Sphinx builds the documentation with this: ``sphinx-build -W docs docs/_build``."""
+
+from __future__ import annotations
+
+import re
+from importlib.metadata import version as installed_version
+from typing import Any
+
+project = "rlco"
+author = "the rlco authors"
+release = version = installed_version("rlco")
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinx.ext.mathjax",
+    "sphinx_copybutton",
+]
+exclude_patterns = ["_build"]
+html_theme = "furo"
+html_title = "rlco"
+
+myst_enable_extensions = ["colon_fence", "dollarmath"]
+myst_heading_anchors = 3
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+napoleon_numpy_docstring = False
+napoleon_use_rtype = False
+napoleon_attr_annotations = False
+
+# Prompts and output stay out of what the button copies.
+copybutton_prompt_text = r">>> |\.\.\. |\$ "
+copybutton_prompt_is_regexp = True
+
+
+def escape_shapes(_app: Any, _what: str, _name: str, *found: Any) -> None:
+    """Keep the star of a shape such as [*B, H] from starting emphasis."""
+    _, _, lines = found
+    lines[:] = [re.sub(r"\*(?=B[,\]]|feature)", r"\\*", line) for line in lines]
+
+
+def setup(app: Any) -> None:
+    """Called by Sphinx."""
+    app.connect("autodoc-process-docstring", escape_shapes)
