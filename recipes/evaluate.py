@@ -34,8 +34,11 @@ class Config(RunOptions):
 def main(config: Config) -> None:
     """Evaluate, film, and write results.json."""
     from rlco.evaluation import EVALUATION_SEED, evaluate, evaluation_env, record_video
+    from rlco.physics.camera import check_rendering
     from rlco.policies import load_policy
 
+    if config.videos:
+        check_rendering()
     policy, _ = load_policy(config.policy)
     env = evaluation_env(
         config.task,
@@ -60,6 +63,7 @@ def main(config: Config) -> None:
                 path,
                 chunk=policy.chunk,
                 index=index,
+                seed=EVALUATION_SEED + config.seed,
             )
             log.info("video: %s", path)
 

@@ -11,6 +11,7 @@ both) and rl_co (sft, then PPO in the simulator anchored to the real demonstrati
 from __future__ import annotations
 
 import logging
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -64,9 +65,12 @@ def record(config: Config, folder: Path) -> dict[str, str]:
         path = folder / name
         folders[name] = str(path)
         if not path.exists():
+            # A recording that was cut off is made anew, under another name until whole.
+            part = path.with_suffix(".part")
+            shutil.rmtree(part, ignore_errors=True)
             record_demos.main(
                 record_demos.Config(
-                    out=str(path),
+                    out=str(part),
                     task=config.task,
                     domain=domain,
                     episodes=episodes,
@@ -74,6 +78,7 @@ def record(config: Config, folder: Path) -> dict[str, str]:
                     seed=500_000 + seed,
                 )
             )
+            part.rename(path)
     return folders
 
 

@@ -41,6 +41,9 @@ class Config(RunOptions):
     policy: str = option(REQUIRED, "folder of the policy that Stage I saved")
     task: str = option("push_cube", "name of the task")
     real_demos: str | None = option(None, "LeRobot folder of real demonstrations")
+    rename: str = option(
+        "", "features of real_demos with other names: THEIRS:OURS,THEIRS:OURS"
+    )
     heldout_demos: str | None = option(
         None, "LeRobot folder of real demonstrations to measure forgetting on"
     )
@@ -68,7 +71,7 @@ class Config(RunOptions):
 
 def load(config: Config) -> tuple[Any, dict[str, Any]]:
     """Load the policy and the demonstrations, and check that they fit the task."""
-    from rlco.data import load_demos
+    from rlco.data import load_task_demos
     from rlco.physics.observation import STATE_NAMES
     from rlco.physics.task import make_task
     from rlco.policies import load_policy
@@ -98,14 +101,8 @@ def load(config: Config) -> tuple[Any, dict[str, Any]]:
     for name in ("real_demos", "heldout_demos"):
         path = getattr(config, name)
         if path is not None:
-            demos[name] = load_demos(
-                path,
-                chunk=policy.chunk,
-                instructions=task.instructions,
-                action_dim=policy.action_size,
-                state_dim=sizes["state_size"],
-                environment_dim=sizes["environment_state_size"],
-                image_key=False,
+            demos[name] = load_task_demos(
+                path, task, chunk=policy.chunk, rename=config.rename
             )
     return policy, demos
 
@@ -306,7 +303,7 @@ def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
     save_policy(
         policy,
         run.path / "policy",
-        extra={"task": config.task, "real_coeff": config.real_coeff},
+        extra={"real_coeff": config.real_coeff, **env.task.description()},
     )
     return policy
 
@@ -315,17 +312,32 @@ def main(config: Config) -> None:
     """Check everything, train, and say how it went."""
     policy, demos = load(config)  # what is wrong shows before a folder is made
     from rlco.metrics import read_metrics
+    from rlco.statistics import ResultRow
 
+    method = "rl_co" if config.real_coeff > 0 else "rl_only"
     with Run(config, "rl_co") as run:
         train(config, run, policy, demos)
+        results = []
         for row in read_metrics(run.path / "metrics.csv"):
-            rates = [
-                f"{d} {row[f'success_{d}']:.1%}"
-                for d in config.eval_domains
-                if row.get(f"success_{d}") is not None
-            ]
-            if rates:
-                log.info("rollout %d: %s", row["step"], ", ".join(rates))
+            for domain in config.eval_domains:
+                rate = row.get(f"success_{domain}")
+                if rate is None:
+                    continue
+                log.info("rollout %d in %s: %.1f %%", row["step"], domain, 100 * rate)
+                if row["step"] == config.iterations:
+                    results.append(
+                        ResultRow(
+                            method=method,
+                            task=config.task,
+                            policy=policy.kind,
+                            domain=domain,
+                            variation=None,
+                            seed=config.seed,
+                            episodes=config.eval_episodes,
+                            successes=round(rate * config.eval_episodes),
+                        )
+                    )
+        run.save_results(results)
         log.info("policy: %s", run.path / "policy")
 
 

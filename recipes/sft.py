@@ -32,7 +32,9 @@ class Config(RunOptions):
     task: str = option("push_cube", "name of the task")
     sim_demos: str | None = option(None, "LeRobot folder of simulated demonstrations")
     real_demos: str | None = option(None, "LeRobot folder of real demonstrations")
-    rename: str = option("", "features with other names: THEIRS:OURS,THEIRS:OURS")
+    rename: str = option(
+        "", "features of real_demos with other names: THEIRS:OURS,THEIRS:OURS"
+    )
     sim_ratio: float = option(0.5, "alpha, the share of sim", minimum=0, maximum=1)
     policy: str = option("gaussian", "kind of policy")
     chunk: int = option(4, "control steps of an action chunk", minimum=1)
@@ -50,8 +52,7 @@ class Config(RunOptions):
 
 def load(config: Config) -> dict[str, DemoReplayBuffer | None]:
     """Load the demonstrations that sim_ratio asks for."""
-    from rlco.data import load_demos
-    from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
+    from rlco.data import load_task_demos
     from rlco.physics.task import make_task
 
     task = make_task(config.task)
@@ -63,19 +64,10 @@ def load(config: Config) -> dict[str, DemoReplayBuffer | None]:
     ]
     if problems:
         raise ConfigError(problems)
-    pairs = [pair.split(":") for pair in config.rename.split(",") if pair]
-    if any(len(pair) != 2 for pair in pairs):
-        raise ConfigError([f"rename={config.rename!r} is not THEIRS:OURS,THEIRS:OURS"])
+    rename = {"sim_demos": "", "real_demos": config.rename}
     return {
-        name: load_demos(
-            getattr(config, name),
-            chunk=config.chunk,
-            rename=dict(pairs),
-            instructions=task.instructions,
-            action_dim=len(ACTION_NAMES),
-            state_dim=len(STATE_NAMES),
-            environment_dim=len(task.environment_state_names),
-            image_key=False,
+        name: load_task_demos(
+            getattr(config, name), task, chunk=config.chunk, rename=rename[name]
         )
         if need
         else None
@@ -122,6 +114,7 @@ def train(config: Config, run: Run, demos: dict[str, Any]) -> GaussianPolicy:
 
     from rlco.data import SimRealReplayBuffer
     from rlco.losses import CoTrainingLoss, ImitationLoss
+    from rlco.physics.task import make_task
     from rlco.policies import save_policy
 
     sim, real = demos["sim_demos"], demos["real_demos"]
@@ -169,7 +162,7 @@ def train(config: Config, run: Run, demos: dict[str, Any]) -> GaussianPolicy:
     save_policy(
         policy,
         run.path / "policy",
-        extra={"task": config.task, "sim_ratio": config.sim_ratio},
+        extra={"sim_ratio": config.sim_ratio, **make_task(config.task).description()},
     )
     return policy
 

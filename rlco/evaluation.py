@@ -116,6 +116,7 @@ def record_video(
     *,
     chunk: int,
     index: int = 0,
+    seed: int = EVALUATION_SEED,
     image_size: tuple[int, int] = (240, 320),
 ) -> list[NDArray[np.uint8]]:
     """Write one episode as an mp4 video, one frame a decision; return the frames.
@@ -125,9 +126,7 @@ def record_video(
     """
     import imageio.v3 as imageio
 
-    env = make_env(
-        task, domain=domain, chunk=chunk, image_size=image_size, seed=EVALUATION_SEED
-    )
+    env = make_env(task, domain=domain, chunk=chunk, image_size=image_size, seed=seed)
     env.start_at(index)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         rollout = env.rollout(-(-env.horizon // chunk), policy)

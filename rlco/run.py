@@ -22,6 +22,7 @@ from tqdm import tqdm
 from rlco import run_folder
 from rlco.config import RunOptions, parse, to_yaml
 from rlco.errors import RlcoError
+from rlco.headless import choose_gl
 from rlco.metrics import MetricsFile
 
 if TYPE_CHECKING:
@@ -47,8 +48,11 @@ def run_recipe[C](
         config_class: The dataclass of its options.
         argv: The arguments; the command line's where absent.
     """
+    choose_gl()
     logger = logging.getLogger("rlco")
     logger.setLevel(logging.INFO)
+    logger.propagate = False  # some libraries print what reaches the root, again
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # a line for each storage
     console = logging.StreamHandler()
     console.setFormatter(logging.Formatter("%(message)s"))
     logger.addHandler(console)

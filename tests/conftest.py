@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import ctypes.util
 import os
 
 import pytest
 
+from rlco.headless import choose_gl
+
 # Before torch and MuJoCo are imported: both read these once.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
-if "MUJOCO_GL" not in os.environ:
-    for backend, library in (("egl", "EGL"), ("osmesa", "OSMesa")):
-        if ctypes.util.find_library(library):
-            os.environ["MUJOCO_GL"] = backend
-            break
+choose_gl()
 
 
 @pytest.fixture(autouse=True)

@@ -39,9 +39,7 @@ class Expert:
 def test_policies_and_domains_are_compared_from_the_same_starts() -> None:
     seen = []
     for domain, delay in (("sim", 0), ("sim", 2), ("stand_in", 0)):
-        env = evaluation_env(
-            "push_cube", domain, chunk=4, episodes=3, horizon=8
-        )
+        env = evaluation_env("push_cube", domain, chunk=4, episodes=3, horizon=8)
         policy = Expert(env, delay)
         evaluate(policy, env, 3)
         seen.append(policy.starts)

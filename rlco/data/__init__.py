@@ -9,3 +9,4 @@ from rlco.data.instructions import InstructionText as InstructionText
 from rlco.data.quantiles import exact_quantiles as exact_quantiles
 from rlco.data.recording import DemoWriter as DemoWriter
 from rlco.data.sim_real_buffer import SimRealReplayBuffer as SimRealReplayBuffer
+from rlco.data.task_demos import load_task_demos as load_task_demos

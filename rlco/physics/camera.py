@@ -11,6 +11,16 @@ from numpy.typing import NDArray
 from rlco.errors import RenderingError
 
 
+def check_rendering() -> None:
+    """Raise where nothing can render, before anything expensive starts.
+
+    Raises:
+        RenderingError: There is no OpenGL library to render with.
+    """
+    scene = "<mujoco><worldbody><camera name='agentview'/></worldbody></mujoco>"
+    Camera(mujoco.MjModel.from_xml_string(scene), (8, 8)).close()
+
+
 class Camera:
     """One fixed camera of a compiled model, one rendering context.
 

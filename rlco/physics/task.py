@@ -87,7 +87,7 @@ class Task:
             as the camera reports them -> features (..., E), [m].
         shaped_reward: (state before, state after a control step) -> shape (...).
         success: state -> bool, shape (...).
-        expert: (state, tool position wanted before or None) -> action, shape (..., 7).
+        expert: state -> the scripted expert's action, shape (..., 7).
     """
 
     name: str
@@ -104,6 +104,19 @@ class Task:
     shaped_reward: Callable[[SceneState, SceneState], Array]
     success: Callable[[SceneState], NDArray[np.bool_]]
     expert: Callable[[SceneState], Array]
+
+    def description(self) -> dict[str, Any]:
+        """Return what a policy's user must know of the task, in types of JSON."""
+        from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
+
+        return {
+            "task": self.name,
+            "instructions": list(self.instructions),
+            "control_frequency": self.control_frequency,
+            "state_names": list(STATE_NAMES),
+            "environment_state_names": list(self.environment_state_names),
+            "action_names": list(ACTION_NAMES),
+        }
 
     def reward(self, before: SceneState, after: SceneState, kind: str) -> Array:
         """Return the reward of a control step, ``shaped`` or ``sparse``.

@@ -114,7 +114,7 @@ def test_an_end_inside_a_rollout_cuts_the_sum_and_only_truncation_bootstraps(
 
 
 def test_advantages_of_a_rollout_agree_with_a_recursion_and_are_normalised() -> None:
-    collector, env, _ = make_collector(ValueIsFirstNumber(), num_envs=3)
+    collector, _, _ = make_collector(ValueIsFirstNumber(), num_envs=3)
     rollout = collector.collect(0)
     assert rollout.batch_size == (3, 3)
     assert collector.frames == 3 * 12

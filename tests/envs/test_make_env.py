@@ -195,7 +195,10 @@ def test_both_backends_report_the_same(domain: str) -> None:
     actions[..., 2] = 0.5  # up, away from the cubes
     actions[..., 6] = 1.0
     native, robosuite = (
-        play(make_env("push_cube", num_envs=2, chunk=4, domain=domain, backend=b), actions)
+        play(
+            make_env("push_cube", num_envs=2, chunk=4, domain=domain, backend=b),
+            actions,
+        )
         for b in ("native", "robosuite")
     )
     for key in (

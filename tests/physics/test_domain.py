@@ -100,13 +100,13 @@ def scene() -> SceneState:
     """Return a scene with the tool and every object at simple places."""
     objects = np.array([[0.1, 0.0, 0.8], [0.0, 0.2, 0.8], [-0.1, 0.1, 0.8]])
     return SceneState(
-        tool_position=BASE_POSITION + [0.5, 0.1, -0.05],
+        tool_position=BASE_POSITION + np.array([0.5, 0.1, -0.05]),
         tool_rotation=TOOL_DOWN.copy(),
         gripper_opening=np.array(0.04),
         joint_position=np.zeros(7),
         object_position=objects,
         object_quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
-        goal_position=objects + [0.15, 0.0, 0.0],
+        goal_position=objects + np.array([0.15, 0.0, 0.0]),
         instruction_id=np.array(0),
     )
 
@@ -146,7 +146,8 @@ def test_the_camera_frame_turns_about_the_tables_centre_then_shifts() -> None:
     _, environment = quiet(domain)
     # A quarter turn takes (x, y) to (-y, x); then the shift; then the base's frame.
     # Cubes (0.1, 0), (0, 0.2), (-0.1, 0.1) -> (0, 0.1), (-0.2, 0), (-0.1, -0.1).
-    expected = np.array([[0.0, 0.1], [-0.2, 0.0], [-0.1, -0.1]]) + [0.58, -0.01]
+    turned = np.array([[0.0, 0.1], [-0.2, 0.0], [-0.1, -0.1]])
+    expected = turned + np.array([0.58, -0.01])
     np.testing.assert_allclose(environment[:6].reshape(3, 2), expected, atol=1e-12)
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -45,14 +46,31 @@ def test_the_expert_solves_95_percent_in_both_domains(domain: Domain) -> None:
 
 def test_the_shaped_reward_worked_out_by_hand() -> None:
     # The cube moves 4 cm of its 15 cm towards the mark: 10 * 0.04 = 0.4.
-    # Pushing starts 5.5 cm behind the cube at height 0.825: before at x = -0.135, the
-    # tool (x = -0.2, z = 0.9) is sqrt(0.065^2 + 0.075^2) = 0.0992472 from it. After, at
-    # x = -0.095, the tool at (-0.11, z = 0.825) is 0.015 from it, which counts as 0.07.
-    # 2 * (0.0992472 - 0.07) = 0.0584944. Not solved.
-    before = scene()
+    # The corridor begins 5.5 cm behind the cube: before at x = -0.135, after at -0.095.
+    # Before, the tool is 6.5 cm short of it and 3 cm beside it, sqrt(0.065^2 + 0.03^2) =
+    # 0.0715891 away; after, 1.5 cm short: 4 * (0.0715891 - 0.015) = 0.2263564.
+    before = scene(tool=(-0.2, 0.03, 0.9))
     after = scene(cube=(-0.04, 0.0, 0.825), tool=(-0.11, 0.0, 0.825))
     reward = TASK.reward(before, after, "shaped")
-    assert reward == pytest.approx(0.4 + 0.0584944, abs=1e-6)
+    assert reward == pytest.approx(0.4 + 0.2263564, abs=1e-6)
+    # The corridor ends 2 cm behind the cube's centre, at x = -0.06: a tool at -0.02 is
+    # past it by 4 cm, which costs 4 * 0.04.
+    past = scene(cube=(-0.04, 0.0, 0.825), tool=(-0.02, 0.0, 0.825))
+    behind = scene(cube=(-0.04, 0.0, 0.825), tool=(-0.07, 0.0, 0.825))
+    assert TASK.reward(behind, past, "shaped") == pytest.approx(-0.16)
+
+
+def test_leaving_costs_nothing_once_the_cube_is_at_its_mark() -> None:
+    # 1 cm from the mark the corridor no longer counts, at 2 cm by half.
+    left = {"tool": (0.0, 0.0, 0.9)}
+    there = scene(cube=(0.06, 0.0, 0.825))
+    moved = scene(cube=(0.06, 0.0, 0.825), **left)
+    assert TASK.reward(there, moved, "shaped") == pytest.approx(0.05)
+    # Tool 0.25 behind the cube: 0.195 short. Then 0.05 behind: within the corridor.
+    near = scene(cube=(0.05, 0.0, 0.825))
+    closer = scene(cube=(0.05, 0.0, 0.825), **left)
+    earned = TASK.reward(near, closer, "shaped")
+    assert earned == pytest.approx(0.5 * 4.0 * 0.195 + 0.05)
 
 
 def test_a_solved_step_earns_a_twentieth_more() -> None:
@@ -87,8 +105,7 @@ def test_success_at_its_thresholds() -> None:
 def test_the_sparse_rewards_of_an_episode_sum_to_success_at_its_end() -> None:
     away, there = scene(), scene(cube=(0.07, 0.0, 0.825))
     for path in ([away, there, away, there], [away, there, away], [away, away]):
-        steps = zip(path[:-1], path[1:], strict=True)
-        total = sum(float(TASK.reward(a, b, "sparse")) for a, b in steps)
+        total = sum(float(TASK.reward(a, b, "sparse")) for a, b in pairwise(path))
         assert total == float(TASK.success(path[-1]))
 
 

@@ -1,0 +1,60 @@
+"""Demonstrations of a task, checked against what the task's policies need."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from rlco.data.demos import DemoReplayBuffer, load_demos
+from rlco.errors import ConfigError, DataError
+from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
+from rlco.physics.task import Task
+
+
+def load_task_demos(
+    path: str | Path, task: Task, *, chunk: int, rename: str = ""
+) -> DemoReplayBuffer:
+    """Load demonstrations whose features, sizes, texts and rate are the task's.
+
+    Args:
+        path: A LeRobot folder, v2.1 or v3.
+        task: The task; its instructions give the ids.
+        chunk: Steps H of an action chunk.
+        rename: Features with other names, as `rename_map` reads them.
+
+    Raises:
+        ConfigError: `rename` cannot be read.
+        DataError: The data set cannot be used, or was recorded at another rate.
+    """
+    demos = load_demos(
+        path,
+        chunk=chunk,
+        rename=rename_map(rename),
+        instructions=task.instructions,
+        action_dim=len(ACTION_NAMES),
+        state_dim=len(STATE_NAMES),
+        environment_dim=len(task.environment_state_names),
+        image_key=False,
+    )
+    if demos.meta.fps != task.control_frequency:
+        raise DataError(
+            f"data set {str(path)!r} has {demos.meta.fps:g} frames a second, but "
+            f"{task.name!r} is controlled at {task.control_frequency} Hz; record or "
+            "resample it at that rate, as an action chunk counts frames."
+        )
+    return demos
+
+
+def rename_map(text: str) -> dict[str, str]:
+    """Read ``THEIRS:OURS,THEIRS:OURS``.
+
+    Raises:
+        ConfigError: The text has another form.
+
+    Example:
+        >>> rename_map("state:observation.state,actions:action")
+        {'state': 'observation.state', 'actions': 'action'}
+    """
+    pairs = [pair.split(":") for pair in text.split(",") if pair]
+    if any(len(pair) != 2 or not all(pair) for pair in pairs):
+        raise ConfigError([f"rename={text!r} is not THEIRS:OURS,THEIRS:OURS"])
+    return {pair[0]: pair[1] for pair in pairs}

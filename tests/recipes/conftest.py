@@ -1,0 +1,43 @@
+"""Recipes are scripts: their folder is put on the path, and their inputs made once."""
+
+from __future__ import annotations
+
+import sys
+
+import pytest
+from recipe_cases import RECIPES, RL_CO, SFT, Assets, start
+
+sys.path.insert(0, str(RECIPES))
+
+
+@pytest.fixture(scope="session")
+def assets(tmp_path_factory: pytest.TempPathFactory) -> Assets:
+    """Record two small data sets, then run both stages on them."""
+    root = tmp_path_factory.mktemp("recipes")
+    made = Assets(root / "sim", root / "real", root / "sft", root / "rl_co")
+    for domain, folder in (("sim", made.sim), ("stand_in", made.real)):
+        start("record_demos", f"domain={domain}", "episodes=2", f"out={folder}")
+    start("sft", *demos(made), f"out={made.sft}", *SFT)
+    start("rl_co", *stage_one(made), f"out={made.rl_co}", *RL_CO)
+    return made
+
+
+def demos(assets: Assets) -> list[str]:
+    return [f"sim_demos={assets.sim}", f"real_demos={assets.real}"]
+
+
+def stage_one(assets: Assets) -> list[str]:
+    return [
+        f"policy={assets.sft / 'policy'}",
+        f"real_demos={assets.real}",
+        f"heldout_demos={assets.real}",
+    ]
+
+
+@pytest.fixture
+def inputs(assets: Assets) -> dict[str, list[str]]:
+    """Each training recipe's input and tiny settings, all but its output."""
+    return {
+        "sft": [*demos(assets), *SFT],
+        "rl_co": [*stage_one(assets), *RL_CO],
+    }

@@ -1,0 +1,186 @@
+"""The recipes one after the other: record, imitate, reinforce, evaluate, compare."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+from recipe_cases import RECIPES, RL_CO, Assets, start
+
+from rlco.metrics import read_metrics
+from rlco.run import Run
+
+STAGES = pytest.mark.parametrize("stage", ["sft", "rl_co"])
+
+
+def test_recording_again_gives_the_same_data(assets: Assets, tmp_path: Path) -> None:
+    again = tmp_path / "again"
+    start("record_demos", "domain=stand_in", "episodes=2", f"out={again}")
+    for file in (assets.real / "data").rglob("*.parquet"):
+        other = again / file.relative_to(assets.real)
+        assert other.read_bytes() == file.read_bytes()
+
+
+@STAGES
+def test_the_same_seed_gives_the_same_metrics(
+    assets: Assets, inputs: dict[str, list[str]], tmp_path: Path, stage: str
+) -> None:
+    start(stage, *inputs[stage], f"out={tmp_path / 'again'}")
+    first = (getattr(assets, stage) / "metrics.csv").read_bytes()
+    assert (tmp_path / "again" / "metrics.csv").read_bytes() == first
+
+    start(stage, *inputs[stage], f"out={tmp_path / 'other'}", "seed=1")
+    assert (tmp_path / "other" / "metrics.csv").read_bytes() != first
+
+
+class KilledError(Exception):
+    """Stands for whatever ends a process between a row and its checkpoint."""
+
+
+@STAGES
+def test_a_run_that_was_cut_off_and_resumed_equals_one_that_was_not(
+    assets: Assets,
+    inputs: dict[str, list[str]],
+    tmp_path: Path,
+    stage: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    folder = tmp_path / "cut"
+    save = Run.save_checkpoint
+
+    def save_once(run: Run, step: int, state: Any, **options: Any) -> Path:
+        if step == 2:  # its row of metrics.csv is written, its checkpoint is not
+            raise KilledError
+        return save(run, step, state, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "save_checkpoint", save_once)
+        with pytest.raises(KilledError):
+            start(stage, *inputs[stage], f"out={folder}")
+    assert not (folder / "policy").exists()
+
+    start(stage, f"resume={folder}")
+    whole = getattr(assets, stage)
+    for name in ("metrics.csv", "policy/policy.safetensors"):
+        assert (folder / name).read_bytes() == (whole / name).read_bytes(), name
+
+
+def test_a_killed_process_is_resumed_to_the_same_metrics(
+    inputs: dict[str, list[str]], tmp_path: Path
+) -> None:
+    options = [*inputs["sft"], "updates=400", "log_every=40"]
+    options = [o for o in options if o not in ("updates=6", "log_every=2")]
+    folder = tmp_path / "killed"
+    process = subprocess.Popen(
+        [sys.executable, str(RECIPES / "sft.py"), *options, f"out={folder}"],
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        stderr=subprocess.DEVNULL,
+    )
+    deadline = time.monotonic() + 120
+    while not list(folder.glob("checkpoints/step_*2.safetensors")):
+        assert process.poll() is None, "it ended before its second checkpoint"
+        assert time.monotonic() < deadline
+        time.sleep(0.005)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not (folder / "policy").exists()
+
+    start("sft", f"resume={folder}")
+    start("sft", *options, f"out={tmp_path / 'whole'}")
+    whole = (tmp_path / "whole" / "metrics.csv").read_bytes()
+    assert (folder / "metrics.csv").read_bytes() == whole
+    assert len(read_metrics(folder / "metrics.csv")) == 10
+
+
+def test_stage_one_reports_both_terms_and_stage_two_their_gradients(
+    assets: Assets,
+) -> None:
+    one = read_metrics(assets.sft / "metrics.csv")
+    assert [row["step"] for row in one] == [1, 2, 3]
+    assert [row["updates"] for row in one] == [2, 4, 6]
+    assert all({"loss_bc", "loss_bc_real"} <= row.keys() for row in one)
+
+    two = read_metrics(assets.rl_co / "metrics.csv")
+    # Two episodes of 120 control steps a rollout.
+    assert [row["frames"] for row in two] == [0, 240, 480, 720]
+    for row in two[1:]:
+        assert row["first_ratio"] == pytest.approx(1.0, abs=1e-5)
+        assert row["grad_norm_sim"] > 0.0
+        assert row["grad_norm_real"] > 0.0
+        assert -1.0 <= row["grad_cosine"] <= 1.0
+    # Success is measured before the first, after every second and after the last.
+    assert [row["step"] for row in two if "success_sim" in row] == [0, 2, 3]
+    # The first rollout trains the critic alone: the policy forgets nothing.
+    errors = [row["imitation_error_heldout"] for row in two]
+    assert errors[1] == errors[0]
+    assert errors[2] != errors[1]
+
+
+def test_without_an_anchor_no_demonstrations_are_read(
+    assets: Assets, tmp_path: Path
+) -> None:
+    folder = tmp_path / "rl_only"
+    options = ["real_coeff=0", "iterations=1", f"policy={assets.sft / 'policy'}"]
+    rest = [o for o in RL_CO if not o.startswith("iterations")]
+    start("rl_co", *rest, *options, f"out={folder}")
+    last = read_metrics(folder / "metrics.csv")[-1]
+    assert "grad_norm_real" not in last
+    assert "loss_bc_real" not in last
+    assert last["first_ratio"] == pytest.approx(1.0, abs=1e-5)
+
+
+def test_evaluate_writes_what_it_counted(assets: Assets, tmp_path: Path) -> None:
+    folder = tmp_path / "evaluation"
+    start(
+        "evaluate",
+        f"policy={assets.rl_co / 'policy'}",
+        "domain=stand_in",
+        "episodes=3",
+        "method=rl_co",
+        f"out={folder}",
+    )
+    results = json.loads((folder / "results.json").read_text())
+    assert results["seconds"] > 0
+    (row,) = results["rows"]
+    wanted = {"method": "rl_co", "domain": "stand_in", "episodes": 3, "seed": 0}
+    assert wanted.items() <= row.items()
+    assert 0 <= row["successes"] <= 3
+
+
+def test_quickstart_runs_to_its_report(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder = tmp_path / "quick"
+    start(
+        "quickstart",
+        f"out={folder}",
+        "sim_demos=1",
+        "real_demos=1",
+        "heldout_demos=1",
+        "updates=2",
+        "iterations=1",
+        "num_envs=2",
+        "eval_every=1",
+        "curve_episodes=2",
+        "eval_episodes=2",
+        "film=false",
+    )
+    rows = json.loads((folder / "results.json").read_text())["rows"]
+    got = {(row["method"], row["domain"]) for row in rows}
+    methods = ("real_only", "sft", "rl_co")
+    assert got == {(m, d) for m in methods for d in ("sim", "stand_in")}
+    page = (folder / "report.html").read_text()
+    for word in (*methods, "stand_in", "No robot moved"):
+        assert word in page
+    for name in ("success", "curves", "gradients", "forgetting"):
+        assert (folder / "plots" / f"{name}.png").stat().st_size > 1000
+    # Self-contained: nothing is fetched from anywhere.
+    assert 'src="http' not in page
+    assert 'href="http' not in page

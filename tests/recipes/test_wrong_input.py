@@ -1,0 +1,246 @@
+"""Wrong input: exit status 2, one clear sentence, and nothing made or overwritten."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from recipe_cases import (
+    RL_CO,
+    SFT,
+    Assets,
+    edit_frames,
+    refused,
+    rename_action,
+    start,
+    tree,
+    with_nan,
+)
+
+from rlco.lerobot_files import UNFINISHED_MARK
+
+Capture = pytest.CaptureFixture[str]
+
+
+@pytest.mark.parametrize(
+    ("recipe", "argument", "words"),
+    [
+        ("record_demos", "episods=3", ["'episods'", "did you mean 'episodes'"]),
+        ("sft", "sim_ration=0.5", ["'sim_ration'", "did you mean 'sim_ratio'"]),
+        ("sft", "sim_ratio=2", ["sim_ratio", "1"]),
+        ("rl_co", "real_coef=1", ["'real_coef'", "did you mean 'real_coeff'"]),
+        ("evaluate", "episods=3", ["'episods'", "did you mean 'episodes'"]),
+        ("quickstart", "itterations=3", ["did you mean 'iterations'"]),
+        ("quickstart", "methods=[rlco]", ["'rlco'", "did you mean 'rl_co'"]),
+        ("sft", "task=push_cub", ["'push_cub'", "did you mean 'push_cube'"]),
+        ("quickstart", "task=push_cub", ["'push_cub'", "did you mean 'push_cube'"]),
+        ("record_demos", "task=push_cub", ["did you mean 'push_cube'"]),
+        ("record_demos", "domain=standin", ["did you mean 'stand_in'"]),
+    ],
+)
+def test_an_unknown_option_or_name(
+    capsys: Capture, tmp_path: Path, recipe: str, argument: str, words: list[str]
+) -> None:
+    line = refused(capsys, recipe, argument, f"out={tmp_path / 'out'}")
+    for word in words:
+        assert word in line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("recipe", ["rl_co", "evaluate"])
+def test_an_unknown_task_for_a_policy(
+    assets: Assets, capsys: Capture, tmp_path: Path, recipe: str
+) -> None:
+    given = [f"policy={assets.sft / 'policy'}", "task=push_cub"]
+    line = refused(capsys, recipe, *given, f"out={tmp_path / 'out'}")
+    assert "did you mean 'push_cube'" in line
+    assert not (tmp_path / "out").exists()
+
+
+# -- Data sets -----------------------------------------------------------------
+
+
+def missing(folder: Path) -> None:
+    shutil.rmtree(folder)
+
+
+def truncated(folder: Path) -> None:
+    (file,) = (folder / "data").rglob("*.parquet")
+    file.write_bytes(file.read_bytes()[: file.stat().st_size // 2])
+
+
+def no_frames(folder: Path) -> None:
+    shutil.rmtree(folder / "data")
+
+
+def other_action_size(folder: Path) -> None:
+    info = folder / "meta" / "info.json"
+    content = json.loads(info.read_text())
+    content["features"]["action"]["shape"] = [6]
+    info.write_text(json.dumps(content))
+
+
+def nan(folder: Path) -> None:
+    edit_frames(folder, with_nan)
+
+
+def unfinished(folder: Path) -> None:
+    (folder / UNFINISHED_MARK).touch()
+
+
+@pytest.mark.parametrize("recipe", ["sft", "rl_co"])
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (missing, ["does not exist", "meta/info.json"]),
+        (truncated, [".parquet", "copy"]),
+        (no_frames, ["missing"]),
+        (other_action_size, ["'action'", "6 numbers", "7 are expected"]),
+        (nan, ["'action'", "NaN or infinite in 1 of", "frame 2"]),
+        (unfinished, ["unfinished recording", "record it again"]),
+        (rename_action, ["'action'", "actions", "rename="]),
+    ],
+)
+def test_a_data_set_that_cannot_be_used(
+    assets: Assets,
+    capsys: Capture,
+    tmp_path: Path,
+    recipe: str,
+    spoil: Callable[[Path], None],
+    words: list[str],
+) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(assets.real, data)
+    spoil(data)
+    before = tree(data) if data.exists() else {}
+    given = {
+        "sft": [f"sim_demos={assets.sim}", *SFT],
+        "rl_co": [f"policy={assets.sft / 'policy'}", *RL_CO],
+    }
+    options = [*given[recipe], f"real_demos={data}", f"out={tmp_path / 'out'}"]
+    line = refused(capsys, recipe, *options)
+    for word in (str(data), *words):
+        assert word in line, line
+    assert not (tmp_path / "out").exists()
+    assert (tree(data) if data.exists() else {}) == before
+
+
+@pytest.mark.parametrize("recipe", ["sft", "rl_co"])
+def test_renaming_a_feature_makes_such_a_data_set_usable(
+    assets: Assets, inputs: dict[str, list[str]], tmp_path: Path, recipe: str
+) -> None:
+    data = tmp_path / "data"
+    shutil.copytree(assets.real, data)
+    rename_action(data)
+    folder = tmp_path / "out"
+    others = [o for o in inputs[recipe] if not o.startswith(("real_", "heldout_"))]
+    given = [f"real_demos={data}", "rename=actions:action", f"out={folder}"]
+    start(recipe, *others, *given)
+    # Under another name it is the same data: so is what is learned from it.
+    weights = "policy/policy.safetensors"
+    if recipe == "sft":
+        assert (folder / weights).read_bytes() == (assets.sft / weights).read_bytes()
+    assert (folder / weights).is_file()
+
+
+def test_a_data_set_that_the_options_need(
+    assets: Assets, capsys: Capture, tmp_path: Path
+) -> None:
+    out = f"out={tmp_path / 'out'}"
+    line = refused(capsys, "sft", f"real_demos={assets.real}", out)
+    assert "sim_ratio=0.5 needs sim_demos=FOLDER" in line
+    line = refused(capsys, "rl_co", f"policy={assets.sft / 'policy'}", out)
+    assert "needs real_demos=FOLDER" in line
+    assert not (tmp_path / "out").exists()
+
+
+# -- Folders and checkpoints ---------------------------------------------------
+
+
+@pytest.mark.parametrize("recipe", ["record_demos", "sft", "rl_co", "evaluate"])
+def test_an_existing_output_folder_is_left_as_it_is(
+    assets: Assets,
+    inputs: dict[str, list[str]],
+    capsys: Capture,
+    tmp_path: Path,
+    recipe: str,
+) -> None:
+    kept = tmp_path / "kept"
+    kept.mkdir()
+    (kept / "metrics.csv").write_text("precious")
+    others = {"record_demos": ["episodes=1"], "evaluate": [], **inputs}
+    if recipe == "evaluate":
+        others[recipe] = [f"policy={assets.sft / 'policy'}", "episodes=1"]
+    line = refused(capsys, recipe, *others[recipe], f"out={kept}")
+    assert f"{str(kept)!r} exists and is not overwritten" in line
+    assert tree(kept) == {"metrics.csv": b"precious"}
+
+
+def other_architecture(policy: Path) -> None:
+    description = next(policy.glob("*.json"))
+    content = json.loads(description.read_text())
+    content["arguments"]["hidden"] = [8]
+    description.write_text(json.dumps(content))
+
+
+def other_task(policy: Path) -> None:
+    description = next(policy.glob("*.json"))
+    content = json.loads(description.read_text())
+    content["kind"] = "gausian"
+    description.write_text(json.dumps(content))
+
+
+def not_a_policy(policy: Path) -> None:
+    for file in policy.iterdir():
+        file.unlink()
+
+
+def cut_off(policy: Path) -> None:
+    (weights,) = policy.glob("*.safetensors")
+    weights.write_bytes(weights.read_bytes()[:100])
+
+
+@pytest.mark.parametrize("recipe", ["rl_co", "evaluate"])
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (other_architecture, ["is of another architecture", "has shape"]),
+        (other_task, ["did you mean 'gaussian'"]),
+        (not_a_policy, ["cannot read", "give the folder of a saved policy"]),
+        (cut_off, ["cannot read the weights"]),
+        (shutil.rmtree, ["cannot read", "give the folder of a saved policy"]),
+    ],
+)
+def test_a_checkpoint_that_does_not_fit(
+    assets: Assets,
+    capsys: Capture,
+    tmp_path: Path,
+    recipe: str,
+    spoil: Callable[[Path], None],
+    words: list[str],
+) -> None:
+    policy = tmp_path / "policy"
+    shutil.copytree(assets.sft / "policy", policy)
+    spoil(policy)
+    given = [f"policy={policy}", f"out={tmp_path / 'out'}"]
+    if recipe == "rl_co":
+        given += [f"real_demos={assets.real}", *RL_CO]
+    line = refused(capsys, recipe, *given)
+    for word in (str(policy), *words):
+        assert word in line, line
+    assert not (tmp_path / "out").exists()
+
+
+def test_resuming_what_is_no_run(capsys: Capture, tmp_path: Path) -> None:
+    line = refused(capsys, "sft", f"resume={tmp_path}")
+    assert "is no run directory" in line
+    assert tree(tmp_path) == {}
+
+
+def test_resuming_a_run_of_another_recipe(assets: Assets, capsys: Capture) -> None:
+    before = tree(assets.sft)
+    refused(capsys, "rl_co", f"resume={assets.sft}")
+    assert tree(assets.sft) == before
