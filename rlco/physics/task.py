@@ -6,6 +6,7 @@ so that both backends and the expert read the very same rules.
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -150,18 +151,43 @@ def check_actions(actions: Array) -> None:
 def make_task(task: str | Task) -> Task:
     """Return the task of that name; a `Task` is returned as it is.
 
+    A name is one of rlco's own, or ``module:NAME`` for a `Task` in a module of yours
+    that Python finds (``PYTHONPATH=.`` for one in the working directory).
+
     Raises:
         UnknownNameError: If there is no task of that name.
+        RlcoError: If the module cannot be imported, or holds no such task.
 
     Example:
         >>> make_task("push_cube").horizon
         120
+        >>> make_task("rlco.physics.push_cube:TASK").name
+        'push_cube'
     """
     if isinstance(task, Task):
         return task
+    if ":" in task:
+        return _task_of_module(*task.split(":", 1))
     from rlco.physics import push_cube
 
     tasks: dict[str, Task] = {module.TASK.name: module.TASK for module in (push_cube,)}
     if task not in tasks:
         raise UnknownNameError("task", task, sorted(tasks))
     return tasks[task]
+
+
+def _task_of_module(module: str, name: str) -> Task:
+    try:
+        found = getattr(importlib.import_module(module), name, None)
+    except ModuleNotFoundError as error:
+        raise RlcoError(
+            f"cannot import {module!r} for the task '{module}:{name}' ({error}); give "
+            "MODULE:NAME of a module that Python finds, with PYTHONPATH=. where it "
+            "lies in the working directory."
+        ) from error
+    if not isinstance(found, Task):
+        raise RlcoError(
+            f"module {module!r} holds no Task named {name!r} but {found!r}; assign one "
+            "to that name."
+        )
+    return found
