@@ -57,11 +57,16 @@ def robosuite_side() -> Callable[[], float]:
 
 
 def bare_side() -> Callable[[], float]:
-    """Return a round of nothing but MuJoCo, without a controller."""
+    """Return a round of nothing but MuJoCo: the arm is held, nothing is computed."""
     stepper = NativeStepper(TASK, SIM, num_envs=COPIES, threads=1)
+
+    lay = stepper.layout
+    first = int(lay.integers[2])  # the arm's first actuator
 
     def play() -> float:
         stepper.reset(STARTS)
+        for data in stepper.data:
+            data.ctrl[first : first + 7] = data.qfrc_bias[lay.arm_dof]
         began = time.perf_counter()
         for data in stepper.data:
             mujoco.mj_step(stepper.model, data, nstep=STEPS * SUBSTEPS)

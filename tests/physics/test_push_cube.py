@@ -47,8 +47,8 @@ def test_the_expert_solves_95_percent_in_both_domains(domain: Domain) -> None:
 def test_the_shaped_reward_worked_out_by_hand() -> None:
     # The cube moves 4 cm of its 15 cm towards the mark: 10 * 0.04 = 0.4.
     # The corridor begins 5.5 cm behind the cube: before at x = -0.135, after at -0.095.
-    # Before, the tool is 6.5 cm short of it and 3 cm beside it, sqrt(0.065^2 + 0.03^2) =
-    # 0.0715891 away; after, 1.5 cm short: 4 * (0.0715891 - 0.015) = 0.2263564.
+    # Before, the tool is 6.5 cm short of it and 3 cm beside it: sqrt(0.065^2 + 0.03^2)
+    # = 0.0715891 away; after, 1.5 cm short: 4 * (0.0715891 - 0.015) = 0.2263564.
     before = scene(tool=(-0.2, 0.03, 0.9))
     after = scene(cube=(-0.04, 0.0, 0.825), tool=(-0.11, 0.0, 0.825))
     reward = TASK.reward(before, after, "shaped")
