@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from typing import Literal
 
 from rlco.config import REQUIRED, RunOptions, option
 from rlco.run import Run, run_recipe
@@ -26,7 +27,7 @@ class Config(RunOptions):
     method: str = option("policy", "what to call it in results.json")
     task: str = option("push_cube", "name of the task")
     domain: str = option("sim", "where to play: sim or stand_in")
-    backend: str = option("native", "who steps: native or robosuite")
+    backend: Literal["native", "robosuite"] = option("native", "who steps the model")
     episodes: int = option(256, "episodes, the first ones of the seed", minimum=1)
     videos: int = option(0, "episodes to film", minimum=0)
 

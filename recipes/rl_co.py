@@ -12,7 +12,7 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from rlco import keys
 from rlco.config import REQUIRED, RunOptions, option
@@ -50,8 +50,8 @@ class Config(RunOptions):
     real_coeff: float = option(0.2, "beta, weight of the real anchor", minimum=0)
     iterations: int = option(40, "rollouts", minimum=1, may_change=True)
     num_envs: int = option(64, "episodes of a rollout", minimum=1)
-    backend: str = option("native", "who steps: native or robosuite")
-    reward: str = option("shaped", "reward: shaped or sparse")
+    backend: Literal["native", "robosuite"] = option("native", "who steps the model")
+    reward: Literal["shaped", "sparse"] = option("shaped", "reward of a control step")
     epochs: int = option(4, "passes over a rollout", minimum=1)
     minibatch: int = option(384, "simulated decisions of a minibatch", minimum=1)
     real_rows: int = option(128, "real rows of a minibatch", minimum=1)
@@ -72,11 +72,14 @@ class Config(RunOptions):
 def load(config: Config) -> tuple[Any, dict[str, Any]]:
     """Load the policy and the demonstrations, and check that they fit the task."""
     from rlco.data import load_task_demos
+    from rlco.physics.domain import make_domain
     from rlco.physics.observation import STATE_NAMES
     from rlco.physics.task import make_task
     from rlco.policies import load_policy
 
     task = make_task(config.task)
+    for domain in config.eval_domains:
+        make_domain(domain)
     policy, extra = load_policy(config.policy)
     sizes = {
         "state_size": len(STATE_NAMES),

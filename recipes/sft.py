@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from rlco.config import RunOptions, option
 from rlco.errors import ConfigError
@@ -36,11 +36,11 @@ class Config(RunOptions):
         "", "features of real_demos with other names: THEIRS:OURS,THEIRS:OURS"
     )
     sim_ratio: float = option(0.5, "alpha, the share of sim", minimum=0, maximum=1)
-    policy: str = option("gaussian", "kind of policy")
+    policy: Literal["gaussian"] = option("gaussian", "kind of policy")
     chunk: int = option(4, "control steps of an action chunk", minimum=1)
     hidden: list[int] = option([256, 256], "width of each hidden layer", minimum=1)
     std: float = option(0.2, "exploration, in units of the normalised action")
-    imitation: str = option("nll", "imitation loss: nll or mse")
+    imitation: Literal["nll", "mse"] = option("nll", "imitation loss of a step")
     updates: int = option(1500, "optimiser steps", minimum=1)
     log_every: int = option(100, "updates between rows of metrics.csv", minimum=1)
     batch_size: int = option(256, "rows of a batch, both kinds together", minimum=1)
@@ -53,9 +53,12 @@ class Config(RunOptions):
 def load(config: Config) -> dict[str, DemoReplayBuffer | None]:
     """Load the demonstrations that sim_ratio asks for."""
     from rlco.data import load_task_demos
+    from rlco.physics.domain import make_domain
     from rlco.physics.task import make_task
 
     task = make_task(config.task)
+    for domain in config.eval_domains:
+        make_domain(domain)
     needed = {"sim_demos": config.sim_ratio > 0, "real_demos": config.sim_ratio < 1}
     problems = [
         f"sim_ratio={config.sim_ratio} needs {name}=FOLDER"

@@ -48,6 +48,17 @@ def test_policies_and_domains_are_compared_from_the_same_starts() -> None:
             assert torch.equal(one, two)
 
 
+def test_policies_that_share_an_environment_see_the_same_starts() -> None:
+    env = make_env("push_cube", num_envs=2, chunk=4, horizon=8)
+    first, second = Expert(env), Expert(env, delay=1)
+    for policy in (first, second):
+        evaluate(policy, env, 3)
+    assert len(first.starts) == len(second.starts) == 4  # two batches, two notes each
+    for one, two in zip(first.starts, second.starts, strict=True):
+        assert torch.equal(one, two)
+    assert not torch.equal(first.starts[1], first.starts[3])
+
+
 def test_the_first_m_episodes_are_counted_whatever_the_batch() -> None:
     results = []
     for num_envs in (6, 4):  # six at once; four, then two of four

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from typing import Any, Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from torchrl.envs.utils import check_env_specs, step_mdp
 from rlco.envs import TabletopEnv, make_env
 from rlco.errors import RenderingError, RlcoError
 from rlco.physics.domain import Domain
+from rlco.physics.task import SceneState, make_task
 
 Backend = Literal["native", "robosuite"]
 BACKENDS = pytest.mark.parametrize("backend", ["native", "robosuite"])
@@ -81,6 +83,18 @@ def test_the_last_decision_executes_and_earns_what_is_left_of_the_horizon() -> N
     got = coarse["reward"].squeeze(-1)
     torch.testing.assert_close(got, expected, atol=1e-6, rtol=0)
     assert coarse["truncated"].squeeze(-1).tolist() == [[False, True]] * 2
+
+
+@BACKENDS
+def test_steps_that_are_not_executed_earn_nothing(backend: Backend) -> None:
+    def one(before: SceneState, after: SceneState) -> Any:
+        return np.ones(after.instruction_id.shape)
+
+    task = replace(make_task("push_cube"), shaped_reward=one)
+    env = make_env(task, num_envs=2, chunk=4, horizon=6, backend=backend)
+    earned = env.rollout(2)["next", "reward"].squeeze(-1)
+    # One a control step: 4 of the first decision, 2 of the second.
+    assert earned.tolist() == [[4.0, 2.0]] * 2
 
 
 @BACKENDS
