@@ -55,7 +55,7 @@ class Config(RunOptions):
     epochs: int = option(4, "passes over a rollout", minimum=1)
     minibatch: int = option(384, "simulated decisions of a minibatch", minimum=1)
     real_rows: int = option(128, "real rows of a minibatch", minimum=1)
-    lr: float = option(1.5e-4, "learning rate of the policy")
+    lr: float = option(1e-4, "learning rate of the policy")
     critic_lr: float = option(1e-3, "learning rate of the critic")
     critic_iterations: int = option(
         3, "first rollouts that train the critic alone", minimum=0

@@ -95,7 +95,8 @@ class LeRobotFolder:
             raise DataError(
                 f"data set {str(self.path)!r} has no feature {name!r}"
                 f"{suggest(name, self.features)}; it has {', '.join(self.features)}; "
-                f'where one of them is meant, give rename={{"its name": "{name}"}}.'
+                f'where one of them is meant, give rename={{"its name": "{name}"}}, '
+                f"in a recipe rename=ITS_NAME:{name}."
             )
         return self.features[name]
 
