@@ -52,7 +52,8 @@ def run_recipe[C](
     logger = logging.getLogger("rlco")
     logger.setLevel(logging.INFO)
     logger.propagate = False  # some libraries print what reaches the root, again
-    logging.getLogger("torchrl").setLevel(logging.WARNING)  # a line for each storage
+    # TorchRL reads it at its import, and says a line for each storage without it.
+    os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
     console = logging.StreamHandler()
     console.setFormatter(logging.Formatter("%(message)s"))
     logger.addHandler(console)
