@@ -284,9 +284,12 @@ def test_wrong_input_is_one_line_and_status_2(
 
 
 def test_interrupt_is_status_130_and_says_how_to_go_on(
-    capsys: pytest.CaptureFixture[str], tmp_path: Path
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
     out = tmp_path / "run"
+    # A shell that starts pytest in the background has it ignore Ctrl-C.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    request.addfinalizer(lambda: signal.signal(signal.SIGINT, before))
 
     def main(config: Config) -> None:
         with Run(config, "demo") as run:
