@@ -45,7 +45,7 @@ class Config(RunOptions):
     sim_ratio: float = option(0.5, "alpha of Stage I", minimum=0, maximum=1)
     updates: int = option(1500, "optimiser steps of Stage I", minimum=1)
     iterations: int = option(40, "rollouts of Stage II", minimum=1)
-    num_envs: int = option(64, "episodes of a rollout", minimum=1)
+    num_envs: int = option(128, "episodes of a rollout", minimum=1)
     real_coeff: float = option(0.2, "beta of Stage II", minimum=0)
     eval_every: int = option(20, "rollouts between evaluations", minimum=1)
     curve_episodes: int = option(64, "episodes of each point of a curve", minimum=1)

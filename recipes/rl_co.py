@@ -49,13 +49,18 @@ class Config(RunOptions):
     )
     real_coeff: float = option(0.2, "beta, weight of the real anchor", minimum=0)
     iterations: int = option(40, "rollouts", minimum=1, may_change=True)
-    num_envs: int = option(64, "episodes of a rollout", minimum=1)
+    num_envs: int = option(128, "episodes of a rollout", minimum=1)
+    horizon: int | None = option(
+        64,
+        "control steps of a training episode, truncated; null: the task's",
+        minimum=1,
+    )
     backend: Literal["native", "robosuite"] = option("native", "who steps the model")
     reward: Literal["shaped", "sparse"] = option("shaped", "reward of a control step")
     epochs: int = option(4, "passes over a rollout", minimum=1)
-    minibatch: int = option(384, "simulated decisions of a minibatch", minimum=1)
+    minibatch: int = option(512, "simulated decisions of a minibatch", minimum=1)
     real_rows: int = option(128, "real rows of a minibatch", minimum=1)
-    lr: float = option(1e-4, "learning rate of the policy")
+    lr: float = option(2e-4, "learning rate of the policy")
     critic_lr: float = option(1e-3, "learning rate of the critic")
     critic_iterations: int = option(
         3, "first rollouts that train the critic alone", minimum=0
@@ -256,6 +261,7 @@ def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
         num_envs=config.num_envs,
         chunk=policy.chunk,
         reward=config.reward,
+        horizon=config.horizon,
         seed=config.seed,
     )
     places = {

@@ -199,6 +199,12 @@ class TabletopEnv(EnvBase):
             batch_size=[n],
         )
 
+    def close(self, *, raise_if_closed: bool = True) -> None:
+        """Free the rendering context too."""
+        if self._camera is not None:
+            self._camera.close()
+        super().close(raise_if_closed=raise_if_closed)
+
     def _set_seed(self, seed: int | None) -> None:
         if seed is not None:
             self._seed = int(seed)
