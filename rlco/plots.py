@@ -131,34 +131,34 @@ def learning_curves(curves: Sequence[Curve]) -> Figure:
 
 
 def gradient_terms(
-    updates: Sequence[float],
+    rollouts: Sequence[float],
     sim_norm: Sequence[float],
     real_norm: Sequence[float],
     cosine: Sequence[float],
 ) -> Figure:
-    """Draw the two terms' gradients on the shared parameters over the updates.
+    """Draw the two terms' gradients on the shared parameters over the rollouts.
 
     Args:
-        updates: Optimiser steps so far. Shape (K,).
+        rollouts: Rollouts so far. Shape (K,).
         sim_norm: Norm of the simulator term's gradient, weighted. Shape (K,).
         real_norm: Norm of the real-data term's gradient, weighted. Shape (K,).
         cosine: Cosine between the two, in [-1, 1]. Shape (K,).
     """
     figure, panels = new_figure("Does the anchor pull?", 3, height=5.6, stacked=True)
     norms, ratio, angle = panels
-    norms.plot(updates, sim_norm, color="#0072b2", label="simulator term")
-    norms.plot(updates, real_norm, color="#d55e00", label="real-data term")
+    norms.plot(rollouts, sim_norm, color="#0072b2", label="simulator term")
+    norms.plot(rollouts, real_norm, color="#d55e00", label="real-data term")
     log_axis(norms, "gradient norm")
     legend(figure, [norms])
     quotient = np.divide(real_norm, np.maximum(sim_norm, 1e-12))
-    ratio.plot(updates, quotient, color="#009e73")
+    ratio.plot(rollouts, quotient, color="#009e73")
     ratio.axhline(1, color=QUIET, linewidth=0.8, linestyle="--")
     log_axis(ratio, "real / sim")
-    angle.plot(updates, cosine, color="#cc79a7")
+    angle.plot(rollouts, cosine, color="#cc79a7")
     angle.axhline(0, color=QUIET, linewidth=0.8, linestyle="--")
     angle.set_ylim(-1.05, 1.05)
     angle.set_ylabel("cosine")
-    count_axis(angle, "optimiser updates")
+    count_axis(angle, "rollouts (each measured before its first update)")
     caption(
         figure,
         "Gradients of the two terms on the shared actor, each already weighted.",
