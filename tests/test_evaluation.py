@@ -26,9 +26,9 @@ class Expert:
         decisions = -(-self.env.horizon // self.env.chunk)
         if self.decision % decisions == 0:
             self.starts.append(tensordict[keys.INSTRUCTION_ID].clone())
-            goals = self.env.stepper.scene_state().goal_position  # type: ignore[attr-defined]
+            goals = self.env.stepper.scene_state().goal_position
             self.starts.append(torch.from_numpy(goals.copy()))
-        state = self.env.stepper.scene_state()  # type: ignore[attr-defined]
+        state = self.env.stepper.scene_state()
         action = self.env.task.expert(state)[:, None].repeat(self.env.chunk, 1)
         if self.decision % decisions < self.delay:
             action[..., :6] = 0.0
@@ -95,13 +95,13 @@ def test_time_to_success_counts_to_where_it_stays_solved() -> None:
     # Five decisions of 4 control steps at 20 Hz: 0.2 s each; first entry: the start.
     env = make_env("push_cube", num_envs=4, chunk=4, horizon=18)
     env.__class__ = Scripted
-    env.solved = [  # type: ignore[attr-defined]
+    env.solved = [
         [0, 0, 1, 1, 1, 1],  # from the second decision on: 0.4 s
         [0, 1, 0, 0, 1, 1],  # solved, undone, solved again by the fourth: 0.8 s
         [0, 1, 1, 1, 1, 0],  # undone at the end: not a success
         [0, 0, 0, 0, 0, 1],  # in the last one, cut short at 18 steps: 0.9 s
     ]
-    env.solved = [[bool(v) for v in row] for row in env.solved]  # type: ignore[attr-defined]
+    env.solved = [[bool(v) for v in row] for row in env.solved]
     result = evaluate(Expert(env), env, 4)
     assert result.success.tolist() == [True, True, False, True]
     np.testing.assert_allclose(result.seconds, [0.4, 0.8, np.nan, 0.9])

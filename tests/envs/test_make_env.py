@@ -66,7 +66,7 @@ def test_a_chunk_of_four_equals_four_chunks_of_one(reward: Any) -> None:
     sums = fine["reward"].reshape(3, 3, 4, 1).sum(2)
     torch.testing.assert_close(coarse["reward"], sums, atol=1e-6, rtol=0)
     for one, other in zip(four.stepper.data, single.stepper.data, strict=True):
-        assert np.abs(one.qpos - other.qpos).max() <= 1e-12  # type: ignore[attr-defined]
+        assert np.abs(one.qpos - other.qpos).max() <= 1e-12
 
 
 def test_the_last_decision_executes_and_earns_what_is_left_of_the_horizon() -> None:
@@ -115,7 +115,7 @@ def test_success_does_not_end_an_episode() -> None:
     state = env.reset()
     solved = []
     for _ in range(env.horizon - 1):
-        action = env.task.expert(env.stepper.scene_state())  # type: ignore[attr-defined]
+        action = env.task.expert(env.stepper.scene_state())
         state = env.step(state.set("action", torch.tensor(action[:, None]).float()))
         state = state["next"]
         solved.append(state["success"].squeeze(-1))
@@ -182,12 +182,12 @@ def test_start_at_names_the_episode_that_comes_next() -> None:
 def test_a_partial_reset_leaves_the_others_alone(backend: Backend) -> None:
     env = make_env("push_cube", num_envs=3, horizon=9, seed=2, backend=backend)
     td = play(env, random_actions(2, 3, 1))[:, -1]
-    before = [data.qpos.copy() for data in env.stepper.data]  # type: ignore[attr-defined]
+    before = [data.qpos.copy() for data in env.stepper.data]
     td["_reset"] = torch.tensor([[False], [True], [False]])
     after = env.reset(td.clone())
 
     for index in (0, 2):
-        np.testing.assert_array_equal(env.stepper.data[index].qpos, before[index])  # type: ignore[attr-defined]
+        np.testing.assert_array_equal(env.stepper.data[index].qpos, before[index])
         for key in ("state", "environment_state"):
             key = ("observation", key)
             assert torch.equal(after[key][index], td[key][index])
