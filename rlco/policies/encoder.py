@@ -40,6 +40,11 @@ def read(tensordict: TensorDictBase, key: str | tuple[str, ...]) -> torch.Tensor
 class ObservationEncoder(nn.Module):
     """State, object poses and instruction, normalised and concatenated.
 
+    Where object poses and an instruction are read, the poses follow once more for each
+    instruction, all zero but for the given one (the outer product of both). Which
+    object counts is then a matter of weights: without it, a few demonstrations hardly
+    teach a perceptron to pick one object out of three.
+
     Args:
         state_size: numbers in ``("observation", "state")``; 0 leaves it unread.
         environment_state_size: numbers in ``("observation", "environment_state")``;
@@ -88,7 +93,7 @@ class ObservationEncoder(nn.Module):
         self.num_instructions = num_instructions
         if num_instructions:
             self.in_keys.append(INSTRUCTION_ID)
-        self.size = sum(sizes)
+        self.size = sum(sizes) + environment_state_size * num_instructions
 
     def _normalizer(
         self, name: str, key: tuple[str, ...], size: int
@@ -133,7 +138,11 @@ class ObservationEncoder(nn.Module):
             parts.append(self.environment_state(read(tensordict, ENVIRONMENT_STATE)))
         if self.num_instructions:
             chosen = read(tensordict, INSTRUCTION_ID)
-            one_hot = functional.one_hot(chosen, self.num_instructions)
             dtype = parts[0].dtype if parts else torch.get_default_dtype()
-            parts.append(one_hot.to(dtype))
+            one_hot = functional.one_hot(chosen, self.num_instructions).to(dtype)
+            if self.environment_state is not None:
+                poses = parts[-1]
+                gated = one_hot.unsqueeze(-1) * poses.unsqueeze(-2)
+                parts.append(gated.flatten(-2))
+            parts.append(one_hot)
         return torch.cat(parts, dim=-1)
