@@ -32,20 +32,24 @@ class Config:
     """Options of compare_methods.py."""
 
     out: str = option("outputs/compare", "folder; a finished seed in it is kept")
-    seeds: int = option(5, "number of seeds, from 0", minimum=2)
+    seeds: int = option(5, "number of seeds", minimum=2)
+    first_seed: int = option(
+        5, "the first of them; settings were tried on 0, 100 and 101", minimum=0
+    )
     options: list[str] = option([], "further options of quickstart.py")
 
 
 def run_seeds(config: Config) -> list[Path]:
     """Run what is not finished yet; return the run directories."""
     folders = []
-    for seed in range(config.seeds):
+    for seed in range(config.first_seed, config.first_seed + config.seeds):
         folder = Path(config.out) / f"seed{seed}"
         folders.append(folder)
         if (folder / "results.json").exists():
             continue
         start = f"resume={folder}" if folder.exists() else f"out={folder}"
         options = [f"seed={seed}", f"methods=[{','.join(METHODS)}]", "film=false"]
+        options.append("eval_every=10")
         command = [sys.executable, str(QUICKSTART), start, *options, *config.options]
         subprocess.run(command, check=True)
     return folders

@@ -37,17 +37,17 @@ class Config(RunOptions):
     methods: list[str] = option(
         ["real_only", "sft", "rl_co"], f"which to compare: {', '.join(METHODS)}"
     )
-    sim_demos: int = option(30, "demonstrations to record in sim", minimum=1)
-    real_demos: int = option(10, "demonstrations to record in stand_in", minimum=1)
+    sim_demos: int = option(10, "demonstrations to record in sim", minimum=1)
+    real_demos: int = option(5, "demonstrations to record in stand_in", minimum=1)
     heldout_demos: int = option(
         10, "more of those, never trained on: they measure forgetting", minimum=1
     )
     sim_ratio: float = option(0.5, "alpha of Stage I", minimum=0, maximum=1)
     updates: int = option(1500, "optimiser steps of Stage I", minimum=1)
-    iterations: int = option(40, "rollouts of Stage II", minimum=1)
+    iterations: int = option(50, "rollouts of Stage II", minimum=1)
     num_envs: int = option(128, "episodes of a rollout", minimum=1)
     real_coeff: float = option(0.2, "beta of Stage II", minimum=0)
-    eval_every: int = option(20, "rollouts between evaluations", minimum=1)
+    eval_every: int = option(25, "rollouts between evaluations", minimum=1)
     curve_episodes: int = option(64, "episodes of each point of a curve", minimum=1)
     eval_episodes: int = option(128, "episodes of the comparison", minimum=1)
     film: bool = option(True, "render frames and a video, where OpenGL is found")

@@ -48,7 +48,7 @@ class Config(RunOptions):
         None, "LeRobot folder of real demonstrations to measure forgetting on"
     )
     real_coeff: float = option(0.2, "beta, weight of the real anchor", minimum=0)
-    iterations: int = option(40, "rollouts", minimum=1, may_change=True)
+    iterations: int = option(50, "rollouts", minimum=1, may_change=True)
     num_envs: int = option(128, "episodes of a rollout", minimum=1)
     horizon: int | None = option(
         64,
@@ -66,7 +66,7 @@ class Config(RunOptions):
         3, "first rollouts that train the critic alone", minimum=0
     )
     clip: float = option(0.2, "PPO's clip of the ratio", minimum=0)
-    gamma: float = option(0.97, "discount a decision", minimum=0, maximum=1)
+    gamma: float = option(0.9, "discount a decision", minimum=0, maximum=1)
     lmbda: float = option(0.95, "GAE's lambda", minimum=0, maximum=1)
     max_grad_norm: float = option(1.0, "clip of the gradient's norm")
     eval_every: int = option(10, "rollouts between evaluations", minimum=1)
