@@ -68,7 +68,7 @@ def record(config: Config, folder: Path) -> dict[str, str]:
             # A recording that was cut off is made anew, under another name until whole.
             part = path.with_suffix(".part")
             shutil.rmtree(part, ignore_errors=True)
-            record_demos.main(
+            frames = record_demos.record(
                 record_demos.Config(
                     out=str(part),
                     task=config.task,
@@ -79,6 +79,7 @@ def record(config: Config, folder: Path) -> dict[str, str]:
                 )
             )
             part.rename(path)
+            log.info("recorded %d episodes, %d frames: %s", episodes, frames, path)
     return folders
 
 

@@ -32,8 +32,8 @@ class Config:
     seed: int = option(0, "seed of initial states and noise", minimum=0)
 
 
-def main(config: Config) -> None:
-    """Record, then say what was recorded."""
+def record(config: Config) -> int:
+    """Record; return the number of frames."""
     from tqdm import tqdm
 
     from rlco.data import DemoWriter
@@ -76,12 +76,18 @@ def main(config: Config) -> None:
                 )
             writer.save_episode()
             frames += len(demonstration.action)
+    return frames
+
+
+def main(config: Config) -> None:
+    """Record, then say what was recorded."""
+    frames = record(config)
     log.info(
         "recorded %d episodes, %d frames of %s in %s: %s",
         config.episodes,
         frames,
-        task.name,
-        domain.name,
+        config.task,
+        config.domain,
         config.out,
     )
 

@@ -53,7 +53,7 @@ class RolloutCollector:
         policy: Any,
         critic: Any,
         *,
-        gamma: float = 0.97,
+        gamma: float = 0.9,
         lmbda: float = 0.95,
     ) -> None:
         self.env = env
