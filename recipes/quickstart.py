@@ -37,10 +37,10 @@ class Config(RunOptions):
     methods: list[str] = option(
         ["real_only", "sft", "rl_co"], f"which to compare: {', '.join(METHODS)}"
     )
-    sim_demos: int = option(10, "demonstrations to record in sim", minimum=1)
-    real_demos: int = option(5, "demonstrations to record in stand_in", minimum=1)
+    sim_demos: int = option(12, "demonstrations to record in sim", minimum=1)
+    real_demos: int = option(6, "demonstrations to record in stand_in", minimum=1)
     heldout_demos: int = option(
-        10, "more of those, never trained on: they measure forgetting", minimum=1
+        9, "more of those, never trained on: they measure forgetting", minimum=1
     )
     sim_ratio: float = option(0.5, "alpha of Stage I", minimum=0, maximum=1)
     updates: int = option(1500, "optimiser steps of Stage I", minimum=1)

@@ -45,6 +45,9 @@ def demonstrate(
 ) -> Iterator[Demonstration]:
     """Yield successful demonstrations of the expert, in the order of their seeds.
 
+    Every instruction is demonstrated equally often, to within one, as people do: what
+    one would otherwise miss by chance no training could make good.
+
     The expert sees the true state; what is recorded is what the domain's sensors
     and camera report. Commands carry Gaussian noise, as a teleoperator's do.
     Failed episodes are dropped, as people drop theirs.
@@ -62,17 +65,22 @@ def demonstrate(
         RlcoError: If the expert fails in more than half of many episodes.
     """
     stepper = NativeStepper(task, domain, num_envs=num_envs)
-    yielded = tried = 0
-    while yielded < episodes:
-        if tried >= 40 and yielded < tried / 2:
+    share, more = divmod(episodes, len(task.instructions))
+    wanted = {
+        text: share + (index < more) for index, text in enumerate(task.instructions)
+    }
+    solved = tried = 0
+    while any(wanted.values()):
+        if tried >= 40 and solved < tried / 2:
             raise RlcoError(
-                f"the expert of {task.name!r} solved only {yielded} of {tried} "
+                f"the expert of {task.name!r} solved only {solved} of {tried} "
                 f"episodes in domain {domain.name!r}; mend the expert or the domain."
             )
         for demonstration in _batch(task, domain, stepper, seed, tried, noise, hold):
             tried += 1
-            if demonstration.success and yielded < episodes:
-                yielded += 1
+            solved += demonstration.success
+            if demonstration.success and wanted[demonstration.instruction]:
+                wanted[demonstration.instruction] -= 1
                 yield demonstration
 
 
