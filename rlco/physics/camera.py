@@ -1,14 +1,27 @@
-"""Camera frames of a model, rendered off screen."""
+"""Camera frames of a model, rendered off screen, and cameras that are moved."""
 
 from __future__ import annotations
 
-from typing import Any
+import contextlib
+import copy
+import weakref
+from collections.abc import Iterator
+from typing import Any, Literal, get_args
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.errors import RenderingError
+from rlco.errors import RlcoError, UnknownNameError
+from rlco.physics import gl_context
+from rlco.physics.rotations import yaw_matrix
+from rlco.physics.simple_meshes import merge_vertices, out_of_view
+
+Quality = Literal["fast", "robosuite"]
+QUALITIES: tuple[str, ...] = get_args(Quality)
+# Vertices closer than a pixel at this distance from the camera are merged [m].
+DETAIL_DISTANCE = 1.0
+HIDDEN_GROUP = 5  # a geom group that is not drawn
 
 
 def check_rendering() -> None:
@@ -21,16 +34,36 @@ def check_rendering() -> None:
     Camera(mujoco.MjModel.from_xml_string(scene), (8, 8)).close()
 
 
+def check_quality(quality: str) -> None:
+    """Raise where there is no image quality of that name.
+
+    Raises:
+        UnknownNameError: If the quality is unknown.
+    """
+    if quality not in QUALITIES:
+        raise UnknownNameError("image quality", quality, QUALITIES)
+
+
 class Camera:
-    """One fixed camera of a compiled model, one rendering context.
+    """One camera of a compiled model, for any number of copies of its state.
+
+    Quality ``robosuite`` draws what robosuite's own off-screen renderer draws, byte
+    for byte. ``fast`` draws the same view without multisampling, reflections and
+    shadows, with round shapes of fewer sides, and without geoms out of view; seen
+    from a camera that does not move, meshes lose detail smaller than a pixel.
+
+    All cameras of a process share one OpenGL context. Meshes and textures are taken
+    from the model once, colours and poses at every frame.
 
     Args:
         model: The compiled model.
         image_size: Height and width of frames [pixels].
         name: The camera's name.
+        quality: ``fast`` or ``robosuite``.
 
     Raises:
         RenderingError: If there is no OpenGL library to render with.
+        UnknownNameError: If the model has no such camera, or the quality is unknown.
     """
 
     def __init__(
@@ -38,32 +71,198 @@ class Camera:
         model: mujoco.MjModel,
         image_size: tuple[int, int],
         name: str = "agentview",
+        quality: Quality = "fast",
     ) -> None:
-        # What MuJoCo chose when it was imported; robosuite sets MUJOCO_GL afterwards.
-        context = getattr(mujoco, "GLContext", None)
-        backend = context.__module__.rpartition(".")[-1] if context else "disabled"
-        try:
-            self._renderer = mujoco.Renderer(model, *image_size)
-        # What a missing library raises differs by backend and by library.
-        except (
-            ImportError,
-            AttributeError,
-            RuntimeError,
-            OSError,
-            mujoco.FatalError,
-        ) as error:
-            raise RenderingError(backend, str(error)) from error
-        self._name = name
+        check_quality(quality)
+        self._model = model
+        self._size = image_size
+        self._fast = quality == "fast"
+        gl_context.run(bool)  # before a wrong name, say that nothing can render
+        self._id = camera_id(model, name)
+        self._camera = mujoco.MjvCamera()
+        self._camera.type = mujoco.mjtCamera.mjCAMERA_FIXED
+        self._camera.fixedcamid = self._id
         self._options = mujoco.MjvOption()
-        # robosuite's visual meshes only, neither collision geoms nor sites.
+        # robosuite's visual meshes only, no collision geoms.
         self._options.geomgroup[0] = 0
-        self._options.sitegroup[:] = 0
+        self._scene = mujoco.MjvScene(model, maxgeom=10_000)
+        if self._fast:
+            for flag in (
+                mujoco.mjtRndFlag.mjRND_SHADOW,
+                mujoco.mjtRndFlag.mjRND_REFLECTION,
+            ):
+                self._scene.flags[flag] = False
+        self._context = gl_context.run(
+            mujoco.MjrContext, self._drawn_model(), mujoco.mjtFontScale.mjFONTSCALE_50
+        )
+        self._free = weakref.finalize(self, gl_context.run, self._context.free)
+        self._free.atexit = False  # then the whole OpenGL context goes
 
-    def frame(self, data: Any) -> NDArray[np.uint8]:
-        """Return the present frame of a copy, uint8, shape (3, height, width)."""
-        self._renderer.update_scene(data, self._name, self._options)
-        return np.ascontiguousarray(self._renderer.render().transpose(2, 0, 1))
+    def _drawn_model(self) -> mujoco.MjModel:
+        """Return a copy of the model as the rendering context should take it in."""
+        model = copy.copy(self._model)
+        height, width = self._size
+        model.vis.global_.offheight, model.vis.global_.offwidth = height, width
+        if self._fast:
+            model.vis.quality.offsamples = model.vis.quality.shadowsize = 0
+            model.vis.quality.numslices = 20
+            model.vis.quality.numstacks = 8
+            model.vis.quality.numquads = 2
+            # One on the robot comes too close to things to leave anything out.
+            if model.body_weldid[model.cam_bodyid[self._id]] == 0:
+                view = 2.0 * np.tan(np.deg2rad(model.cam_fovy[self._id]) / 2)
+                merge_vertices(model, DETAIL_DISTANCE * view / height)
+        return model
+
+    def frame(
+        self, data: Any, *, yaw: float = 0.0, shift: tuple[float, float] = (0.0, 0.0)
+    ) -> NDArray[np.uint8]:
+        """Return the present frame of a copy, uint8, shape (3, height, width).
+
+        The copy's state is as before when it returns.
+
+        Args:
+            data: The copy's state.
+            yaw: As in `move_camera`, for this frame [rad].
+            shift: As in `move_camera`, for this frame [m].
+
+        Raises:
+            RlcoError: If the camera was closed.
+        """
+        if not self._free.alive:
+            raise RlcoError("this camera is closed; make another one.")
+        with self._placed(data, yaw, shift), self._culled(data):
+            mujoco.mjv_updateScene(
+                self._model,
+                data,
+                self._options,
+                None,
+                self._camera,
+                mujoco.mjtCatBit.mjCAT_ALL,
+                self._scene,
+            )
+        pixels = gl_context.run(self._draw)
+        # OpenGL counts rows from below.
+        return np.ascontiguousarray(pixels[::-1].transpose(2, 0, 1))
+
+    def _draw(self) -> NDArray[np.uint8]:
+        height, width = self._size
+        view = mujoco.MjrRect(0, 0, width, height)
+        pixels = np.empty((height, width, 3), dtype=np.uint8)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)
+        mujoco.mjr_render(view, self._scene, self._context)
+        mujoco.mjr_readPixels(pixels, None, view, self._context)
+        return pixels
+
+    @contextlib.contextmanager
+    def _placed(
+        self, data: Any, yaw: float, shift: tuple[float, float]
+    ) -> Iterator[None]:
+        """Move the camera of one copy for a while."""
+        position, matrix = data.cam_xpos[self._id], data.cam_xmat[self._id]
+        before = position.copy(), matrix.copy()
+        if moves(yaw, shift):
+            turned = moved_pose(position, matrix.reshape(3, 3), yaw, shift)
+            position[:], matrix[:] = turned[0], turned[1].ravel()
+        try:
+            yield
+        finally:
+            position[:], matrix[:] = before
+
+    @contextlib.contextmanager
+    def _culled(self, data: Any) -> Iterator[None]:
+        """Leave out, for a while, what cannot be in the frame."""
+        model = self._model
+        # Intrinsics given as a sensor's, and parallel projection, are left alone.
+        plain = not (
+            model.cam_sensorsize[self._id].any() or model.cam_projection[self._id]
+        )
+        if not (self._fast and plain):
+            yield
+            return
+        height, width = self._size
+        before = model.geom_group.copy()
+        model.geom_group[out_of_view(model, data, self._id, width / height)] = (
+            HIDDEN_GROUP
+        )
+        try:
+            yield
+        finally:
+            model.geom_group[:] = before
 
     def close(self) -> None:
-        """Free the rendering context."""
-        self._renderer.close()
+        """Free the meshes, textures and buffers that the camera holds."""
+        self._free()
+
+
+def camera_id(model: mujoco.MjModel, name: str) -> int:
+    """Return the number of the camera of that name.
+
+    Raises:
+        UnknownNameError: If the model has no such camera.
+    """
+    number = int(mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_CAMERA, name))
+    if number < 0:
+        known = [model.camera(index).name for index in range(model.ncam)]
+        raise UnknownNameError("camera", name, known)
+    return number
+
+
+def moves(yaw: float, shift: tuple[float, float]) -> bool:
+    """Return whether `move_camera` with these numbers moves anything."""
+    return yaw != 0.0 or any(shift)
+
+
+def moved_pose(
+    position: NDArray[np.float64],
+    rotation: NDArray[np.float64],
+    yaw: float,
+    shift: tuple[float, float],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return a camera's position (3,) and rotation matrix (3, 3) after a move.
+
+    See `move_camera`.
+
+    Example:
+        >>> import numpy as np
+        >>> moved_pose(np.array([0.5, 0.0, 1.0]), np.eye(3), 0.0, (0.1, 0.2))[0]
+        array([ 0.4, -0.2,  1. ])
+    """
+    turn = np.eye(3)
+    turn[:2, :2] = yaw_matrix(-yaw)
+    return turn @ (position - np.array([*shift, 0.0])), turn @ rotation
+
+
+def move_camera(
+    model: mujoco.MjModel,
+    yaw: float,
+    shift: tuple[float, float],
+    name: str = "agentview",
+) -> None:
+    """Move a camera of a compiled model, in place.
+
+    Its frames then look as if everything had turned by `yaw` about the table's
+    centre (the world's z axis) and moved by `shift`: whoever believes the camera to
+    be where it was finds each object at ``turned + shift``, which is what a domain's
+    camera reports (`rlco.physics.observation.observe`). So the camera itself shifts
+    and turns the other way.
+
+    Args:
+        model: The compiled model.
+        yaw: Turn of what is seen [rad].
+        shift: Shift of what is seen along the world's x and y, after the turn [m].
+        name: A camera fixed to the world.
+
+    Raises:
+        UnknownNameError: If the model has no such camera.
+    """
+    number = camera_id(model, name)
+    if not moves(yaw, shift):  # not even a last bit
+        return
+    matrix, quaternion = np.empty(9), np.empty(4)
+    mujoco.mju_quat2Mat(matrix, model.cam_quat[number])
+    position, rotation = moved_pose(
+        model.cam_pos[number], matrix.reshape(3, 3), yaw, shift
+    )
+    mujoco.mju_mat2Quat(quaternion, rotation.ravel())
+    model.cam_pos[number], model.cam_quat[number] = position, quaternion
