@@ -9,7 +9,7 @@ from rlco.physics.push_cube import HOME, HOME_NOISE, TABLE_HEIGHT
 from rlco.physics.task import Array, InitialState, SceneState, Task
 
 
-def make_objects(domain: Domain) -> list[object]:
+def make_objects(domain: Domain, variation: str | None = None) -> list[object]:
     """Return robosuite's objects: tracked ones first, then marks."""
     from robosuite.models.objects import BoxObject, CylinderObject
 

@@ -3,6 +3,7 @@
 Every policy meets the same episodes, so two runs of this can be compared:
 
     uv run recipes/evaluate.py policy=outputs/rl_co/RUN/policy domain=stand_in
+    uv run recipes/evaluate.py policy=... variation=camera
     uv run recipes/evaluate.py policy=... videos=3        # needs an OpenGL library
 """
 
@@ -27,6 +28,9 @@ class Config(RunOptions):
     method: str = option("policy", "what to call it in results.json")
     task: str = option("push_cube", "name of the task")
     domain: str = option("sim", "where to play: sim or stand_in")
+    variation: str | None = option(
+        None, "unseen variation: shapes, colours, initial_states, distractors, camera"
+    )
     backend: Literal["native", "robosuite"] = option("native", "who steps the model")
     episodes: int = option(256, "episodes, the first ones of the seed", minimum=1)
     videos: int = option(0, "episodes to film", minimum=0)
@@ -47,14 +51,21 @@ def main(config: Config) -> None:
         chunk=policy.chunk,
         episodes=config.episodes,
         backend=config.backend,
+        variation=config.variation,
         seed=EVALUATION_SEED + config.seed,
     )
     with Run(config, "evaluate") as run:
         result = evaluate(policy, env, config.episodes)
-        log.info("%s in %s: %s", config.method, config.domain, result)
-        run.save_results(
-            [result.row(config.method, config.domain, config.seed, task=config.task)]
+        where = config.domain + (f", {config.variation}" if config.variation else "")
+        log.info("%s in %s: %s", config.method, where, result)
+        row = result.row(
+            config.method,
+            config.domain,
+            config.seed,
+            task=config.task,
+            variation=config.variation,
         )
+        run.save_results([row])
         for index in range(config.videos):
             path = run.videos / f"{config.domain}_{index}.mp4"
             record_video(
@@ -64,6 +75,7 @@ def main(config: Config) -> None:
                 path,
                 chunk=policy.chunk,
                 index=index,
+                variation=config.variation,
                 seed=EVALUATION_SEED + config.seed,
             )
             log.info("video: %s", path)

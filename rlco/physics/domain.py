@@ -38,6 +38,8 @@ class Domain:
         tool_offset: Error of the reported tool height: the mounted fingertip is
             longer than the modelled one [m].
         gripper_offset: Error of the reported gripper opening [m].
+        fixture_friction_scale: Times the friction of fixtures' joints, such as a
+            drawer's runners.
 
     Example:
         >>> make_domain("stand_in").command_delay
@@ -57,6 +59,7 @@ class Domain:
     state_noise: float = 0.0
     tool_offset: float = 0.0
     gripper_offset: float = 0.0
+    fixture_friction_scale: float = 1.0
 
 
 SIM = Domain(
@@ -87,6 +90,8 @@ STAND_IN = Domain(
     # Another fingertip than the modelled one, and an uncalibrated gripper zero.
     tool_offset=0.006,
     gripper_offset=0.0015,
+    # Dry wooden runners that have swollen a little: two times a waxed pair's.
+    fixture_friction_scale=2.0,
 )
 
 DOMAINS = {domain.name: domain for domain in (SIM, STAND_IN)}

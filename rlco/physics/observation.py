@@ -38,7 +38,7 @@ ACTION_NAMES = (
 
 def noise_size(task: Task) -> int:
     """Return how many standard normal numbers one observation takes."""
-    return 3 + 3 * (len(task.objects) + len(task.goals))
+    return 3 + 3 * (len(task.objects) + len(task.fixtures) + len(task.goals))
 
 
 def observe(
@@ -69,5 +69,5 @@ def observe(
     seen[..., :2] = seen[..., :2] @ yaw_matrix(domain.camera_yaw).T
     seen[..., :2] += domain.camera_shift
     seen += domain.object_noise * noise[..., 3:].reshape(*lead, -1, 3) - BASE_POSITION
-    count = len(task.objects)
+    count = len(task.objects) + len(task.fixtures)
     return robot, task.environment_state(seen[..., :count, :], seen[..., count:, :])

@@ -12,17 +12,25 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.errors import UnknownNameError
 from rlco.physics.domain import Domain
-from rlco.physics.observation import TOOL_DOWN
-from rlco.physics.rotations import rotation_vector
+from rlco.physics.scripted import tool_action
 from rlco.physics.task import Array, InitialState, SceneState, Task
+from rlco.physics.variations import (
+    JOINT_NOISE,
+    UNSEEN_COLOURS,
+    VARIATIONS,
+    add_distractors,
+    check_variation,
+    make_distractors,
+)
 
 COLOURS = {
     "red": (0.85, 0.16, 0.14, 1.0),
     "green": (0.16, 0.62, 0.27, 1.0),
     "blue": (0.15, 0.34, 0.80, 1.0),
 }
+# Where distractors stand, beside the row [m].
+PLACES = (((-0.1, 0.1), (0.26, 0.32)), ((-0.1, 0.1), (-0.32, -0.26)))
 TABLE_HEIGHT = 0.8  # robosuite's table top [m]
 HALF_SIZE = 0.025  # of a cube [m]
 MASS = 0.06  # a 5 cm pine cube [kg]
@@ -39,27 +47,39 @@ TRAVEL_HEIGHT = TABLE_HEIGHT + 0.085
 STANDOFF = 0.055  # tool behind the cube's centre before it touches
 
 
-def make_objects(domain: Domain) -> list[object]:
-    """Return robosuite's three cubes, then their three marks."""
+def make_objects(domain: Domain, variation: str | None = None) -> list[object]:
+    """Return robosuite's three cubes, their three marks, and what the variation adds.
+
+    ``shapes`` puts upright cylinders as wide and as high in the cubes' place.
+
+    Raises:
+        UnknownNameError: If the variation is unknown.
+    """
+    check_variation(variation)
     # robosuite costs seconds to import: rules and expert do without it.
     from robosuite.models.objects import BoxObject, CylinderObject
 
-    friction = (FRICTION[0] * domain.friction_scale, *FRICTION[1:])
-    density = MASS * domain.mass_scale / (2 * HALF_SIZE) ** 3
+    colours = UNSEEN_COLOURS if variation == "colours" else COLOURS
+    round_ones = variation == "shapes"
+    volume = (2 * HALF_SIZE) ** 3 * (np.pi / 4 if round_ones else 1.0)
     cubes = [
         BoxObject(
             name=f"{name}_cube",
             size=[HALF_SIZE] * 3,
             rgba=rgba,
-            density=density,
-            friction=friction,
+            density=MASS * domain.mass_scale / volume,
+            friction=(FRICTION[0] * domain.friction_scale, *FRICTION[1:]),
         )
-        for name, rgba in COLOURS.items()
+        for name, rgba in colours.items()
     ]
     for cube in cubes:
         for geom in cube.get_obj().iter("geom"):
             # Its friction counts, not the rubber's of robosuite's finger pads.
             geom.set("priority", "1")
+            if round_ones:
+                # robosuite's own cylinder would have other contacts too.
+                geom.set("type", "cylinder")
+                geom.set("size", f"{HALF_SIZE} {HALF_SIZE}")
     marks = [
         CylinderObject(
             name=f"{name}_mark",
@@ -68,9 +88,10 @@ def make_objects(domain: Domain) -> list[object]:
             obj_type="visual",
             joints=None,
         )
-        for name, rgba in COLOURS.items()
+        for name, rgba in colours.items()
     ]
-    return [*cubes, *marks]
+    added = make_distractors() if variation == "distractors" else []
+    return [*cubes, *marks, *added]
 
 
 def table_friction(domain: Domain) -> tuple[float, float, float]:
@@ -84,8 +105,7 @@ def sample(rng: np.random.Generator, variation: str | None = None) -> InitialSta
     Raises:
         UnknownNameError: If the variation is unknown.
     """
-    if variation is not None:
-        raise UnknownNameError("variation", variation, ["none"])
+    check_variation(variation)
     slots = rng.permutation(3)
     cubes = np.zeros((3, 7))
     cubes[:, 0] = rng.uniform(-0.10, -0.05, 3)
@@ -97,12 +117,21 @@ def sample(rng: np.random.Generator, variation: str | None = None) -> InitialSta
     marks[:, 0] += rng.uniform(0.13, 0.18, 3)
     marks[:, 1] += rng.uniform(-0.01, 0.01, 3)
     marks[:, 2] = TABLE_HEIGHT + 0.001
-    return InitialState(
-        joint_position=HOME + rng.normal(0.0, HOME_NOISE, 7),
+    noise = HOME_NOISE
+    if variation == "initial_states":
+        # The whole row further away than ever, and the arm less sure of its start.
+        cubes[:, 0] += 0.06
+        marks[:, 0] += 0.06
+        noise = JOINT_NOISE
+    start = InitialState(
+        joint_position=HOME + rng.normal(0.0, noise, 7),
         object_pose=cubes,
         goal_position=marks,
         instruction_id=int(rng.integers(3)),
     )
+    if variation == "distractors":
+        return add_distractors(start, rng, PLACES)
+    return start
 
 
 def environment_state(objects: Array, goals: Array) -> Array:
@@ -216,14 +245,8 @@ def expert(state: SceneState) -> Array:
     plane = plane * (1.0 - np.clip(height / 0.03, 0.0, 0.95))
     # Well within the tolerance it rests: the line to the mark loses its meaning.
     rest = np.clip((gap - 0.012) / 0.01, 0.0, 1.0)
-    move = rest * np.concatenate([plane, height], axis=-1) / 0.05
-
-    action = np.zeros((*tool.shape[:-1], 7))
-    length = np.linalg.norm(move, axis=-1, keepdims=True)
-    action[..., :3] = move / np.maximum(length, 1.0)
-    action[..., 3:6] = -rotation_vector(state.tool_rotation @ TOOL_DOWN.T) / 0.5
-    action[..., 6] = 1.0  # fingers stay closed
-    return np.clip(action, -1.0, 1.0)
+    move = rest * np.concatenate([plane, height], axis=-1)
+    return tool_action(state, move, gripper=1.0)  # fingers stay closed
 
 
 TASK = Task(
@@ -246,4 +269,5 @@ TASK = Task(
     shaped_reward=shaped_reward,
     success=success,
     expert=expert,
+    variations=VARIATIONS,
 )

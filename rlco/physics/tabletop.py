@@ -12,6 +12,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
+from rlco.physics.camera import move_camera
 from rlco.physics.domain import Domain, make_domain
 from rlco.physics.quiet_robosuite import (
     ManipulationEnv,
@@ -35,13 +36,20 @@ class Tabletop(ManipulationEnv):
         task: The task.
         domain: What differs from the simulator as built.
         image_size: Height and width of ``agentview`` frames; None: no rendering.
+        variation: A named variation of the scene.
     """
 
     def __init__(
-        self, task: Task, domain: Domain, *, image_size: tuple[int, int] | None = None
+        self,
+        task: Task,
+        domain: Domain,
+        *,
+        image_size: tuple[int, int] | None = None,
+        variation: str | None = None,
     ) -> None:
         self.task = task
         self.domain = domain
+        self.variation = variation
         self.initial: InitialState | None = None
         self._delayed: deque[Array] = deque()
         config = load_composite_controller_config(controller="BASIC", robot="Panda")
@@ -85,20 +93,36 @@ class Tabletop(ManipulationEnv):
             table_offset=(0, 0, 0.8),
         )
         arena.set_origin([0, 0, 0])
-        self.objects = self.task.make_objects(self.domain)
+        self.objects = self.task.make_objects(self.domain, self.variation)
         self.model = ManipulationTask(arena, [model], self.objects)
         # Marks move from episode to episode without touching the compiled model.
-        for mark in self.objects[len(self.task.objects) :]:
+        first = len(self.task.objects)
+        last = first + len(self.task.goals)
+        # What has a free joint: the tracked objects, then a variation's distractors.
+        self.loose = [*self.objects[:first], *self.objects[last:]]
+        for mark in self.objects[first:last]:
             self.model.worldbody.find(f"./body[@name='{mark.root_body}']").set(
                 "mocap", "true"
             )
 
+    def _initialize_sim(self, xml_string: str | None = None) -> None:
+        super()._initialize_sim(xml_string)
+        # What its pictures show agrees with the positions that it reports.
+        move_camera(
+            self.sim.model._model, self.domain.camera_yaw, self.domain.camera_shift
+        )
+
     def _setup_references(self) -> None:
         super()._setup_references()
         count = len(self.task.objects)
-        ids = [self.sim.model.body_name2id(o.root_body) for o in self.objects]
-        self.object_ids = np.array(ids[:count])
-        self.mocap_ids = self.sim.model._model.body_mocapid[ids[count:]]
+        model = self.sim.model
+        ids = [model.body_name2id(o.root_body) for o in self.objects]
+        parts = [model.body_name2id(name) for name in self.task.fixtures]
+        self.object_ids = np.array([*ids[:count], *parts], dtype=np.int64)
+        marks = ids[count : count + len(self.task.goals)]
+        self.mocap_ids = model._model.body_mocapid[marks]
+        joints = [model.get_joint_qpos_addr(n) for n in self.task.fixture_joints]
+        self.fixture_qpos = np.array(joints, dtype=np.int64)
 
     def edit_model_xml(self, xml_str: str) -> str:
         """Reserve 16 MB for a copy's contacts in place of robosuite's 1.3 GB.
@@ -127,12 +151,14 @@ class Tabletop(ManipulationEnv):
         data, robot = self.sim.data, self.robots[0]
         data.qpos[robot._ref_arm_joint_pos_indexes] = self.initial.joint_position
         fingers = robot._ref_gripper_joint_pos_indexes["right"]
-        data.qpos[fingers] = 0.0
-        robot.gripper["right"].current_action = np.array([-1.0, 1.0])
-        tracked = self.objects[: len(self.task.objects)]
-        for item, pose in zip(tracked, self.initial.object_pose, strict=True):
+        half = self.initial.gripper_opening / 2.0
+        data.qpos[fingers] = (half, -half)
+        robot.gripper["right"].current_action = self.initial.gripper_goal()
+        for item, pose in zip(self.loose, self.initial.object_pose, strict=True):
             data.set_joint_qpos(item.joints[0], pose)
         data._data.mocap_pos[self.mocap_ids] = self.initial.goal_position
+        data._data.mocap_quat[self.mocap_ids] = self.initial.goal_orientation()
+        data.qpos[self.fixture_qpos] = self.initial.fixture_opening()
         # Also moves the controller's goal and null-space posture to the new pose.
         robot.part_controllers["right"].update_initial_joints(
             self.initial.joint_position
@@ -157,7 +183,9 @@ class Tabletop(ManipulationEnv):
             joint_position=data.qpos[robot._ref_arm_joint_pos_indexes].copy(),
             object_position=data.body_xpos[self.object_ids].copy(),
             object_quaternion=data.body_xquat[self.object_ids].copy(),
+            joint_opening=data.qpos[self.fixture_qpos].copy(),
             goal_position=self.initial.goal_position.copy(),
+            goal_quaternion=self.initial.goal_orientation().copy(),
             instruction_id=np.asarray(self.initial.instruction_id),
         )
 

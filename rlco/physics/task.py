@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from rlco.physics.domain import Domain
 
 Array = NDArray[np.float64]
+FINGER_HALF_RANGE = 0.02  # of a Panda finger's travel of 4 cm [m]
+#: rlco's own tasks: each is the module of that name beside this one, and in it TASK.
+TASK_NAMES = ("push_cube", "pick_and_place", "open_drawer", "close_drawer")
 
 
 @dataclass(frozen=True)
@@ -31,9 +34,13 @@ class SceneState:
         tool_rotation: Its rotation matrix, shape (..., 3, 3).
         gripper_opening: Distance between the fingers, shape (...), [m].
         joint_position: Arm joints, shape (..., 7), [rad].
-        object_position: Tracked bodies, shape (..., K, 3), [m].
-        object_quaternion: Their orientation (w, x, y, z), shape (..., K, 4).
-        goal_position: Marks and other goals of the episode, shape (..., G, 3), [m].
+        object_position: Tracked bodies: the K objects, then the F moving parts of
+            fixtures, shape (..., K + F, 3), [m].
+        object_quaternion: Their orientation (w, x, y, z), shape (..., K + F, 4).
+        joint_opening: Joints of fixtures, shape (..., J), [m] or [rad].
+        goal_position: What the episode places and nothing moves: marks, goals and
+            fixtures, shape (..., G, 3), [m].
+        goal_quaternion: Their orientation (w, x, y, z), shape (..., G, 4).
         instruction_id: Which instruction the episode has, int64, shape (...).
     """
 
@@ -43,7 +50,9 @@ class SceneState:
     joint_position: Array
     object_position: Array
     object_quaternion: Array
+    joint_opening: Array
     goal_position: Array
+    goal_quaternion: Array
     instruction_id: NDArray[np.int64]
 
     def at(self, index: Any) -> SceneState:
@@ -57,15 +66,39 @@ class InitialState:
 
     Attributes:
         joint_position: Arm joints, shape (7,), [rad].
-        object_pose: Position and quaternion (w, x, y, z), shape (K, 7), [m].
+        object_pose: Position and quaternion (w, x, y, z) of the K objects, then of
+            the D distractors of the episode's variation, shape (K + D, 7), [m].
         goal_position: Shape (G, 3), [m].
         instruction_id: Index into the task's instructions.
+        goal_quaternion: (w, x, y, z), shape (G, 4); upright where absent.
+        joint_opening: Joints of fixtures, shape (J,), [m] or [rad], where the task
+            has any.
+        gripper_opening: Distance between the fingers at the start [m].
     """
 
     joint_position: Array
     object_pose: Array
     goal_position: Array
     instruction_id: int
+    goal_quaternion: Array | None = None
+    joint_opening: Array | None = None
+    gripper_opening: float = 0.0
+
+    def goal_orientation(self) -> Array:
+        """Return the goals' quaternions, shape (G, 4)."""
+        if self.goal_quaternion is None:
+            upright = [1.0, 0.0, 0.0, 0.0]
+            return np.tile(upright, (len(self.goal_position), 1))
+        return self.goal_quaternion
+
+    def fixture_opening(self) -> Array:
+        """Return the positions of fixtures' joints, shape (J,), [m] or [rad]."""
+        return np.zeros(0) if self.joint_opening is None else self.joint_opening
+
+    def gripper_goal(self) -> Array:
+        """Return robosuite's command that keeps the two fingers where they start."""
+        side = self.gripper_opening / 2.0 / FINGER_HALF_RANGE - 1.0
+        return np.array([side, -side])
 
 
 @dataclass(frozen=True)
@@ -77,11 +110,15 @@ class Task:
         instructions: Every instruction there is; an episode has one, by index.
         horizon: Length of an episode in control steps.
         control_frequency: Control steps a second [Hz].
-        objects: Names of the tracked bodies, in the order of `object_position`.
-        goals: Names of the marks, in the order of `goal_position`.
+        objects: Names of the objects that lie about, in the order of
+            `object_position`.
+        goals: Names of what is placed once an episode, in the order of
+            `goal_position`.
         environment_state_names: One name a number of `environment_state`.
-        make_objects: Domain -> robosuite objects to put into the scene: the
-            tracked ones (each with a free joint), then the marks (mocap bodies).
+        make_objects: (domain, variation) -> robosuite objects to put into the
+            scene: `objects` (each with a free joint), then `goals` (which become
+            mocap bodies), then the distractors of a variation, which have free joints
+            and which no policy is told of.
         table_friction: Domain -> sliding, torsional, rolling friction.
         sample: (random generator, variation) -> the start of an episode.
         environment_state: (object positions (..., K, 3), goal positions (..., G, 3))
@@ -89,6 +126,10 @@ class Task:
         shaped_reward: (state before, state after a control step) -> shape (...).
         success: state -> bool, shape (...).
         expert: state -> the scripted expert's action, shape (..., 7).
+        fixtures: Bodies of goals that move on joints of their own (a drawer); their
+            poses follow those of the objects in `object_position`.
+        fixture_joints: Names of these joints, in the order of `joint_opening`.
+        variations: Names of the unseen variations, for evaluation.
     """
 
     name: str
@@ -98,13 +139,16 @@ class Task:
     objects: tuple[str, ...]
     goals: tuple[str, ...]
     environment_state_names: tuple[str, ...]
-    make_objects: Callable[[Domain], list[Any]]
+    make_objects: Callable[[Domain, str | None], list[Any]]
     table_friction: Callable[[Domain], tuple[float, float, float]]
     sample: Callable[[np.random.Generator, str | None], InitialState]
     environment_state: Callable[[Array, Array], Array]
     shaped_reward: Callable[[SceneState, SceneState], Array]
     success: Callable[[SceneState], NDArray[np.bool_]]
     expert: Callable[[SceneState], Array]
+    fixtures: tuple[str, ...] = ()
+    fixture_joints: tuple[str, ...] = ()
+    variations: tuple[str, ...] = ()
 
     def description(self) -> dict[str, Any]:
         """Return what a policy's user must know of the task, in types of JSON."""
@@ -168,12 +212,10 @@ def make_task(task: str | Task) -> Task:
         return task
     if ":" in task:
         return _task_of_module(*task.split(":", 1))
-    from rlco.physics import push_cube
-
-    tasks: dict[str, Task] = {module.TASK.name: module.TASK for module in (push_cube,)}
-    if task not in tasks:
-        raise UnknownNameError("task", task, sorted(tasks))
-    return tasks[task]
+    if task not in TASK_NAMES:
+        raise UnknownNameError("task", task, sorted(TASK_NAMES))
+    found: Task = importlib.import_module(f"rlco.physics.{task}").TASK
+    return found
 
 
 def _task_of_module(module: str, name: str) -> Task:

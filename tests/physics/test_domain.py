@@ -106,6 +106,8 @@ def scene() -> SceneState:
         joint_position=np.zeros(7),
         object_position=objects,
         object_quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
+        joint_opening=np.zeros(0),
+        goal_quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
         goal_position=objects + np.array([0.15, 0.0, 0.0]),
         instruction_id=np.array(0),
     )

@@ -30,6 +30,8 @@ def scene(
         joint_position=np.zeros(7),
         object_position=np.array([[-0.08, 0.3, 0.825], cube, [-0.08, -0.3, 0.825]]),
         object_quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
+        joint_opening=np.zeros(0),
+        goal_quaternion=np.tile([1.0, 0.0, 0.0, 0.0], (3, 1)),
         goal_position=np.array([[0.07, 0.3, 0.801], mark, [0.07, -0.3, 0.801]]),
         instruction_id=np.array(1),
     )
@@ -155,7 +157,9 @@ def test_unknown_names_come_with_a_suggestion() -> None:
         make_task("push_cub")
     with pytest.raises(UnknownNameError, match="did you mean 'stand_in'"):
         make_domain("standin")
-    with pytest.raises(UnknownNameError, match="unknown variation 'far'; known: none"):
+    with pytest.raises(
+        UnknownNameError, match="unknown variation 'far'; known: shapes, "
+    ):
         sample(np.random.default_rng(0), "far")
 
 
@@ -166,6 +170,8 @@ def test_demonstrations_are_the_same_again_and_end_after_success() -> None:
 
     assert record(3) == record(4)
     demos = list(demonstrate(TASK, SIM, episodes=3, seed=4, num_envs=3, hold=5))
+    # Three episodes: each of the three instructions once.
+    assert {demo.instruction for demo in demos} == set(TASK.instructions)
     for demo in demos:
         assert demo.success
         assert demo.instruction in TASK.instructions
