@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rlco import keys
-from rlco.envs import TabletopEnv, make_env
+from rlco.envs import make_env
+from rlco.envs.chunk_env import ChunkEnv
 from rlco.statistics import ResultRow, wilson_interval
 
 # Initial states of evaluations come from seeds that no training reaches.
@@ -66,7 +67,7 @@ class Evaluation:
         return f"{text}, in {np.median(solved):.1f} s" if solved.size else text
 
 
-def evaluate(policy: Any, env: TabletopEnv, episodes: int) -> Evaluation:
+def evaluate(policy: Any, env: ChunkEnv, episodes: int) -> Evaluation:
     """Play the first `episodes` episodes of an environment's seed, without noise.
 
     The initial states depend on the seed alone, so two policies, and two domains,
@@ -100,9 +101,10 @@ def evaluate(policy: Any, env: TabletopEnv, episodes: int) -> Evaluation:
 
 def evaluation_env(
     task: str, domain: str, *, chunk: int, episodes: int, **options: Any
-) -> TabletopEnv:
+) -> ChunkEnv:
     """Return the environment that evaluations share, at most 64 episodes at once."""
-    options = {"seed": EVALUATION_SEED, **options}
+    # A diverged episode is neither a success nor a failure.
+    options = {"seed": EVALUATION_SEED, "on_divergence": "raise", **options}
     return make_env(
         task, domain=domain, num_envs=min(episodes, 64), chunk=chunk, **options
     )
@@ -116,6 +118,7 @@ def record_video(
     *,
     chunk: int,
     index: int = 0,
+    variation: str | None = None,
     seed: int = EVALUATION_SEED,
     image_size: tuple[int, int] = (240, 320),
 ) -> list[NDArray[np.uint8]]:
@@ -126,7 +129,15 @@ def record_video(
     """
     import imageio.v3 as imageio
 
-    env = make_env(task, domain=domain, chunk=chunk, image_size=image_size, seed=seed)
+    env = make_env(
+        task,
+        domain=domain,
+        chunk=chunk,
+        variation=variation,
+        image_size=image_size,
+        image_quality="robosuite",
+        seed=seed,
+    )
     env.start_at(index)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         rollout = env.rollout(-(-env.horizon // chunk), policy)

@@ -48,6 +48,9 @@ TERMINATED = "terminated"
 TRUNCATED = "truncated"
 #: Whether the task is solved in this very state, bool [*B, 1].
 SUCCESS = "success"
+#: Whether the simulation broke in this decision, bool [*B, 1]: the observation is the
+#: last sound one, the reward 0, and the episode truncated.
+DIVERGED = "diverged"
 
 # -- What the learner adds -----------------------------------------------------
 ADVANTAGE = "advantage"  # float32 [*B, 1]

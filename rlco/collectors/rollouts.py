@@ -13,7 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives.value import GAE
 
 from rlco import keys
-from rlco.envs.tabletop_env import TabletopEnv
+from rlco.envs.chunk_env import ChunkEnv
 
 
 class RolloutCollector:
@@ -49,7 +49,7 @@ class RolloutCollector:
 
     def __init__(
         self,
-        env: TabletopEnv,
+        env: ChunkEnv,
         policy: Any,
         critic: Any,
         *,

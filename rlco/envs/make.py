@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from collections.abc import Mapping
+from typing import Any, Literal
 
 import numpy as np
 
-from rlco.envs.tabletop_env import RewardKind, Stepper, TabletopEnv
+from rlco.envs.chunk_env import ON_DIVERGENCE, ChunkEnv, OnDivergence, RewardKind
+from rlco.envs.robosuite_env import make_robosuite_env
+from rlco.envs.tabletop_env import Stepper, TabletopEnv
 from rlco.errors import RlcoError, UnknownNameError
+from rlco.physics.camera import Quality, check_quality
 from rlco.physics.domain import Domain, make_domain
 from rlco.physics.native import NativeStepper
 from rlco.physics.robosuite_stepper import RobosuiteStepper
+from rlco.physics.robosuite_tasks import PREFIX
 from rlco.physics.task import Task, make_task
+from rlco.physics.variations import domain_in
 
 Backend = Literal["native", "robosuite"]
 
@@ -26,15 +32,18 @@ def make_env(
     reward: RewardKind = "shaped",
     horizon: int | None = None,
     image_size: tuple[int, int] | None = None,
+    image_quality: Quality = "fast",
     variation: str | None = None,
     effects: object | None = None,
     seed: int = 0,
     threads: int | None = None,
-) -> TabletopEnv:
+    on_divergence: OnDivergence = "reset",
+    robosuite_options: Mapping[str, Any] | None = None,
+) -> ChunkEnv:
     """Return a batch of a task's episodes as one TorchRL environment.
 
     Args:
-        task: A task or its name.
+        task: A task or its name; ``robosuite:Lift`` is robosuite's own Lift.
         domain: A domain or its name: ``sim`` or ``stand_in``.
         backend: ``native`` steps the model in threads; ``robosuite`` lets robosuite
             step, about six times slower. The motion is the same.
@@ -43,10 +52,15 @@ def make_env(
         reward: ``shaped`` or ``sparse``.
         horizon: Episode length in control steps; the task's own by default.
         image_size: Height and width of camera frames; None: no images.
-        variation: A named variation of the initial states.
+        image_quality: ``fast``, or ``robosuite`` for robosuite's own pixels, about ten
+            times slower.
+        variation: A named variation of the scene, one of the task's.
         effects: Physical effects to add to the model; none are known yet.
         seed: Draws initial states and sensor noise.
         threads: Threads of the native backend; by default one a core.
+        on_divergence: What to do with an environment whose simulation diverges:
+            ``reset`` it and count it, see `rlco.envs.chunk_env.ChunkEnv`, or ``raise``.
+        robosuite_options: robosuite's own, for its own tasks: ``{"robots": "UR5e"}``.
 
     Raises:
         UnknownNameError: If a name is unknown.
@@ -61,11 +75,12 @@ def make_env(
         >>> rollout["observation", "state"].shape
         torch.Size([2, 3, 7])
     """
-    task, domain = make_task(task), make_domain(domain)
     if backend not in ("native", "robosuite"):
         raise UnknownNameError("backend", backend, ["native", "robosuite"])
     if reward not in ("shaped", "sparse"):
         raise UnknownNameError("reward", reward, ["shaped", "sparse"])
+    if on_divergence not in ON_DIVERGENCE:
+        raise UnknownNameError("on_divergence", on_divergence, ON_DIVERGENCE)
     for name, value in (("num_envs", num_envs), ("chunk", chunk), ("horizon", horizon)):
         if value is not None and value < 1:
             raise RlcoError(f"{name}={value} is not allowed; give 1 or more.")
@@ -75,18 +90,53 @@ def make_env(
         raise RlcoError(
             f"image_size={image_size} is not allowed; give (height, width) in pixels."
         )
+    check_quality(image_quality)
     if effects is not None:
         raise RlcoError(
             "effects= is not supported yet; leave it out, and put what MJCF can hold "
             "into a Domain of your own."
         )
+    if isinstance(task, str) and task.startswith(PREFIX):
+        _refuse_for_robosuite(task, domain, image_size, variation)
+        return make_robosuite_env(
+            task.removeprefix(PREFIX),
+            backend=backend,
+            num_envs=num_envs,
+            chunk=chunk,
+            reward=reward,
+            horizon=horizon,
+            seed=seed,
+            threads=threads,
+            on_divergence=on_divergence,
+            options=robosuite_options or {},
+        )
+    if robosuite_options:
+        raise RlcoError(
+            f"robosuite_options= is for robosuite's own tasks, such as {PREFIX}Lift; "
+            "leave it out."
+        )
+    task, domain = make_task(task), make_domain(domain)
     # An unknown variation shows before anything is built.
     task.sample(np.random.default_rng(seed), variation)
+    domain = domain_in(domain, variation)
     stepper: Stepper
     if backend == "native":
-        stepper = NativeStepper(task, domain, num_envs=num_envs, threads=threads)
+        stepper = NativeStepper(
+            task,
+            domain,
+            num_envs=num_envs,
+            threads=threads,
+            variation=variation,
+            on_divergence="mark",
+        )
     else:
-        stepper = RobosuiteStepper(task, domain, num_envs=num_envs)
+        stepper = RobosuiteStepper(
+            task,
+            domain,
+            num_envs=num_envs,
+            variation=variation,
+            on_divergence="mark",
+        )
     return TabletopEnv(
         task,
         domain,
@@ -96,6 +146,26 @@ def make_env(
         reward=reward,
         horizon=horizon,
         image_size=image_size,
+        image_quality=image_quality,
         variation=variation,
         seed=seed,
+        on_divergence=on_divergence,
     )
+
+
+def _refuse_for_robosuite(
+    task: str,
+    domain: str | Domain,
+    image_size: tuple[int, int] | None,
+    variation: str | None,
+) -> None:
+    for name, given, given_at_all in (
+        ("domain", domain, domain != "sim"),
+        ("image_size", image_size, image_size is not None),
+        ("variation", variation, variation is not None),
+    ):
+        if given_at_all:
+            raise RlcoError(
+                f"{name}={given!r} is not supported for {task!r}, one of robosuite's "
+                "own tasks; leave it out, or give one of rlco's tasks."
+            )

@@ -24,6 +24,9 @@ _MODEL_DATA = types.void(types.intp, types.intp)
 mj_step1 = types.ExternalFunction("mj_step1", _MODEL_DATA)
 mj_step2 = types.ExternalFunction("mj_step2", _MODEL_DATA)
 mj_forward = types.ExternalFunction("mj_forward", _MODEL_DATA)
+mj_kinematics = types.ExternalFunction("mj_kinematics", _MODEL_DATA)
+mj_comPos = types.ExternalFunction("mj_comPos", _MODEL_DATA)  # noqa: N816
+mj_makeM = types.ExternalFunction("mj_makeM", _MODEL_DATA)  # noqa: N816
 mj_resetData = types.ExternalFunction("mj_resetData", _MODEL_DATA)  # noqa: N816
 mj_jacSite = types.ExternalFunction(  # noqa: N816
     "mj_jacSite",

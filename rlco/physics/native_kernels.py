@@ -1,21 +1,26 @@
 """The compiled loops of the native backend: read, step and reset a range of copies.
 
-Each takes the model's address and one row of field addresses a copy, and runs
-without the GIL. What it computes between two MuJoCo calls is robosuite's
-``OSC_POSE`` and its gripper, in robosuite's order.
+Each takes one row of addresses a copy, and runs without the GIL. What it computes
+between two MuJoCo calls is robosuite's ``OSC_POSE`` or ``JOINT_POSITION`` and its
+gripper, in robosuite's order.
 """
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
+from rlco.physics.arm_control import Array, Integers
 from rlco.physics.libmujoco import (
     doubles,
+    mj_comPos,
     mj_forward,
     mj_jacSite,
+    mj_kinematics,
+    mj_makeM,
     mj_resetData,
     mj_step1,
     mj_step2,
@@ -40,208 +45,421 @@ FIELDS = (
     "xpos",
     "xquat",
     "mocap_pos",
+    "mocap_quat",
 )
 _COLUMN = {name: i + 1 for i, name in enumerate(FIELDS)}  # 0: mjData itself
-(_QPOS, _QVEL, _CTRL, _BIAS, _MASS, _SITE_POS, _SITE_MAT, _POS, _QUAT, _MOCAP) = (
-    _COLUMN[name] for name in FIELDS
+(_QPOS, _QVEL, _CTRL, _BIAS, _MASS, _SITE_POS, _SITE_MAT, _POS, _QUAT) = (
+    _COLUMN[name] for name in FIELDS[:9]
 )
-# Leading features of a copy: tool position, tool rotation, two fingers, joints.
+_MOCAP_POS, _MOCAP_QUAT = _COLUMN["mocap_pos"], _COLUMN["mocap_quat"]
+# Leading features of a copy: tool position, tool rotation, two fingers, joints. Seven
+# for each tracked body follow, then one for each joint of a fixture.
 OBJECTS = 3 + 9 + 2 + 7
+# Beyond this, as MuJoCo has it, a number is as good as NaN (its mjMAXVAL).
+TOO_LARGE = 1e10
+
+
+class Memory(NamedTuple):
+    """What each of N copies has of its own beside MuJoCo's state.
+
+    With n arm joints, D numbers that command the arm, G actuators of the gripper,
+    actions of A numbers and delays of at most L control steps.
+    """
+
+    models: Integers  # addresses of their models, (N,)
+    fields: Integers  # addresses of their data and its arrays, (N, 1 + FIELDS)
+    posture: Array  # where the null space pulls the arm, (N, n), [rad]
+    grip: Array  # the gripper's goals in [-1, 1], (N, G)
+    stiffness: Array  # (N, D)
+    damping: Array  # (N, D)
+    delay: Integers  # control steps between a command and its execution, (N,)
+    pending: Array  # commands given and not yet executed, (N, L, A)
+    broken: NDArray[np.bool_]  # diverged: not stepped until reset, (N,)
+    fresh: NDArray[np.bool_]  # the next physics step takes the first matrices, (N,)
+    first_mass: Array  # (N, n, n), see `set_first_matrices`
+    first_jacobian: Array  # (N, 6, n)
+
+
+class Tracked(NamedTuple):
+    """What a task's features are read from."""
+
+    site: int  # the tool
+    finger: int  # qpos of the first of two fingers
+    nq: int
+    arm_qpos: Integers  # (7,)
+    objects: Integers  # bodies of objects, then of fixtures, (K + F,)
+    object_joints: Integers  # first qpos of each object's joint, (K,)
+    mocap: Integers  # marks, (G,)
+    fixture_qpos: Integers  # qpos of each joint of a fixture, (J,)
+
+
+class Scratch(NamedTuple):
+    """Working space of one thread."""
+
+    action: Array
+    mass: Array
+    jacobian: Array
+    arm_jacobian: Array
+    bias: Array
+    torque: Array
+    null: Array
+    qpos: Array
+    qvel: Array
+    wanted: Array
+    velocity: Array
+    error: Array
+    move: Array
+    goal: Array
+    goal_rotation: Array
 
 
 @njit(nogil=True, cache=True)
-def read_features(
-    fields: Any, layout: Any, objects: Any, arm_qpos: Any, out: Any
-) -> None:
+def scratch(control: Any) -> Any:
+    """Return working space for copies under this control."""
+    n, moves = control.arm_dof.shape[0], control.inputs.shape[1]
+    return Scratch(
+        np.empty(moves + 1),
+        np.empty((n, n)),
+        np.zeros((6, control.nv)),
+        np.empty((6, n)),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty(n),
+        np.empty(6),
+        np.empty(6),
+        np.empty(3),
+        np.empty(moves),
+        np.empty(max(3, moves)),
+        np.empty((3, 3)),
+    )
+
+
+@njit(nogil=True, cache=True)
+def read_features(fields: Any, tracked: Any, out: Any) -> None:
     """Write one copy's features."""
-    site, finger = layout[0], layout[1]
-    out[0:3] = doubles(fields[_SITE_POS] + 24 * site, 3)
-    out[3:12] = doubles(fields[_SITE_MAT] + 72 * site, 9)
-    qpos = doubles(fields[_QPOS], layout[4])
-    out[12] = qpos[finger]
-    out[13] = qpos[finger + 1]
+    out[0:3] = doubles(fields[_SITE_POS] + 24 * tracked.site, 3)
+    out[3:12] = doubles(fields[_SITE_MAT] + 72 * tracked.site, 9)
+    qpos = doubles(fields[_QPOS], tracked.nq)
+    out[12] = qpos[tracked.finger]
+    out[13] = qpos[tracked.finger + 1]
     for i in range(7):
-        out[14 + i] = qpos[arm_qpos[i]]
-    for k in range(objects.shape[0]):
+        out[14 + i] = qpos[tracked.arm_qpos[i]]
+    count = tracked.objects.shape[0]
+    for k in range(count):
         start = OBJECTS + 7 * k
-        out[start : start + 3] = doubles(fields[_POS] + 24 * objects[k], 3)
-        out[start + 3 : start + 7] = doubles(fields[_QUAT] + 32 * objects[k], 4)
+        body = tracked.objects[k]
+        out[start : start + 3] = doubles(fields[_POS] + 24 * body, 3)
+        out[start + 3 : start + 7] = doubles(fields[_QUAT] + 32 * body, 4)
+    for j in range(tracked.fixture_qpos.shape[0]):
+        out[OBJECTS + 7 * count + j] = qpos[tracked.fixture_qpos[j]]
 
 
 @njit(nogil=True, cache=True)
-def arm_mass(
-    sparse: Any, arm_dof: Any, mass_address: Any, parent: Any, mass: Any
-) -> None:
+def arm_mass(sparse: Any, control: Any, mass: Any) -> None:
     """Write the arm's block of MuJoCo's sparse mass matrix, shape (n, n)."""
+    arm_dof = control.arm_dof
     n = arm_dof.shape[0]
     mass[:] = 0.0
     for i in range(n):
         # Row i holds itself, then its ancestors up the tree.
-        dof, at = arm_dof[i], mass_address[arm_dof[i]]
+        dof, at = arm_dof[i], control.mass_address[arm_dof[i]]
         while dof >= 0:
             for j in range(i + 1):
                 if arm_dof[j] == dof:
                     mass[i, j] = sparse[at]
                     mass[j, i] = sparse[at]
-            dof = parent[dof]
+            dof = control.parent[dof]
             at += 1
 
 
 @njit(nogil=True, cache=True)
-def gripper_target(command: float, grip: Any, finger_range: Any, target: Any) -> None:
-    """Move both fingers' goals a fifth towards open (-) or closed (+), as robosuite."""
-    side = np.sign(command)
-    grip[0] = min(max(grip[0] - 0.2 * side, -1.0), 1.0)
-    grip[1] = min(max(grip[1] + 0.2 * side, -1.0), 1.0)
-    for i in range(2):
-        low, high = finger_range[i, 0], finger_range[i, 1]
-        target[i] = 0.5 * (high + low) + 0.5 * (high - low) * grip[i]
+def arm_columns(jacobian: Any, control: Any, out: Any) -> None:
+    """Write the arm's columns of a Jacobian (6, nv), shape (6, n)."""
+    for r in range(6):
+        for i in range(control.arm_dof.shape[0]):
+            out[r, i] = jacobian[r, control.arm_dof[i]]
+
+
+@njit(nogil=True, cache=True)
+def too_large(values: Any) -> bool:
+    """Return whether any number is NaN or as good as that."""
+    for value in values:  # noqa: SIM110 (numba knows no generators)
+        if not abs(value) < TOO_LARGE:
+            return True
+    return False
+
+
+@njit(nogil=True, cache=True)
+def next_action(memory: Any, e: int, given: Any, action: Any) -> None:
+    """Write the command that was given `delay` control steps ago; store this one."""
+    delay = memory.delay[e]
+    if delay == 0:
+        action[: given.shape[0]] = given
+        return
+    pending = memory.pending[e]
+    action[: given.shape[0]] = pending[0]
+    for i in range(delay - 1):
+        pending[i] = pending[i + 1]
+    pending[delay - 1] = given
+
+
+@njit(nogil=True, cache=True)
+def set_goals(control: Any, memory: Any, e: int, s: Any) -> None:
+    """Set the goals that a command asks for, of the arm and of the gripper."""
+    f = memory.fields[e]
+    moves = control.inputs.shape[1]
+    for i in range(moves):
+        low, high, middle = control.inputs[0, i], control.inputs[1, i], 0.0
+        middle = control.inputs[2, i]
+        clipped = min(max(s.action[i], low), high)
+        s.move[i] = (clipped - middle) * control.inputs[3, i] + control.inputs[4, i]
+    if control.joint_position:
+        qpos = doubles(f[_QPOS], control.nq)
+        for i in range(moves):
+            s.goal[i] = qpos[control.arm_qpos[i]] + s.move[i]
+    else:
+        tool = doubles(f[_SITE_POS] + 24 * control.site, 3)
+        rotation = doubles(f[_SITE_MAT] + 72 * control.site, 9)
+        world_goal(
+            control.base_frame,
+            control.origin,
+            tool,
+            rotation,
+            s.move,
+            s.goal[:3],
+            s.goal_rotation,
+        )
+    grip = memory.grip[e]
+    if grip.shape[0]:
+        side = np.sign(s.action[moves])
+        for g in range(grip.shape[0]):
+            grip[g] = min(max(grip[g] + control.finger_step[g] * side, -1.0), 1.0)
+
+
+@njit(nogil=True, cache=True)
+def joint_position_torques(control: Any, memory: Any, e: int, s: Any) -> None:
+    """Write the torques of robosuite's ``JOINT_POSITION``."""
+    n = s.torque.shape[0]
+    for i in range(n):
+        s.null[i] = (s.goal[i] - s.qpos[i]) * memory.stiffness[e, i] - (
+            s.qvel[i] * memory.damping[e, i]
+        )
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += s.mass[i, j] * s.null[j]
+        s.torque[i] = total + s.bias[i]
+
+
+@njit(nogil=True, cache=True)
+def osc_pose_torques(control: Any, memory: Any, e: int, model: int, s: Any) -> None:
+    """Write the torques of robosuite's ``OSC_POSE``."""
+    f = memory.fields[e]
+    n = s.torque.shape[0]
+    tool = doubles(f[_SITE_POS] + 24 * control.site, 3)
+    rotation = doubles(f[_SITE_MAT] + 72 * control.site, 9)
+    qvel = doubles(f[_QVEL], control.nv)
+    mj_jacSite(
+        model, f[0], s.jacobian.ctypes.data, s.jacobian[3:].ctypes.data, control.site
+    )
+    if memory.fresh[e]:
+        s.arm_jacobian[:] = memory.first_jacobian[e]
+    else:
+        arm_columns(s.jacobian, control, s.arm_jacobian)
+    if control.exact:
+        s.velocity[:3] = np.dot(s.jacobian[:3], qvel)
+        s.velocity[3:] = np.dot(s.jacobian[3:], qvel)
+    else:
+        for r in range(6):
+            s.velocity[r] = 0.0
+            for i in range(n):
+                s.velocity[r] += s.arm_jacobian[r, i] * s.qvel[i]
+    orientation_error(s.goal_rotation, rotation, s.error)
+    stiffness, damping = memory.stiffness[e], memory.damping[e]
+    for r in range(3):
+        s.wanted[r] = (s.goal[r] - tool[r]) * stiffness[r]
+        s.wanted[3 + r] = s.error[r] * stiffness[3 + r]
+    for r in range(6):
+        s.wanted[r] -= s.velocity[r] * damping[r]
+    posture = memory.posture[e]
+    if control.exact:
+        robosuite_joint_torques(
+            s.mass,
+            s.arm_jacobian,
+            s.bias,
+            s.wanted,
+            posture,
+            s.qpos,
+            s.qvel,
+            s.torque,
+        )
+        return
+    null_damping = 2.0 * np.sqrt(NULL_STIFFNESS)
+    for i in range(n):
+        s.null[i] = NULL_STIFFNESS * (posture[i] - s.qpos[i]) - null_damping * s.qvel[i]
+    joint_torques(s.mass, s.arm_jacobian, s.bias, s.wanted, s.null, s.torque)
+
+
+@njit(nogil=True, cache=True)
+def control_step(control: Any, memory: Any, e: int, given: Any, s: Any) -> bool:
+    """Execute one control step of a copy; return whether its state is sound."""
+    model, f = memory.models[e], memory.fields[e]
+    n = control.arm_dof.shape[0]
+    qpos, qvel = doubles(f[_QPOS], control.nq), doubles(f[_QVEL], control.nv)
+    ctrl = doubles(f[_CTRL], control.nu)
+    qfrc, qm = doubles(f[_BIAS], control.nv), doubles(f[_MASS], control.nm)
+    next_action(memory, e, given, s.action)
+    for step in range(control.substeps):
+        # Here rather than by MuJoCo's warnings: LAPACK refuses NaN.
+        if too_large(qpos) or too_large(qvel):
+            return False
+        mj_step1(model, f[0])
+        if step == 0:
+            set_goals(control, memory, e, s)
+        if memory.fresh[e]:
+            s.mass[:] = memory.first_mass[e]
+        else:
+            arm_mass(qm, control, s.mass)
+        for i in range(n):
+            s.bias[i] = qfrc[control.arm_dof[i]]
+            s.qpos[i] = qpos[control.arm_qpos[i]]
+            s.qvel[i] = qvel[control.arm_dof[i]]
+        if control.joint_position:
+            joint_position_torques(control, memory, e, s)
+        else:
+            osc_pose_torques(control, memory, e, model, s)
+        memory.fresh[e] = False
+        if too_large(s.torque):
+            return False
+        for i in range(n):
+            low, high = control.arm_range[i, 0], control.arm_range[i, 1]
+            ctrl[control.arm_ctrl[i]] = min(max(s.torque[i], low), high)
+        for g in range(control.finger_ctrl.shape[0]):
+            low, high = control.finger_range[g, 0], control.finger_range[g, 1]
+            target = 0.5 * (high + low) + 0.5 * (high - low) * memory.grip[e, g]
+            ctrl[control.finger_ctrl[g]] = min(max(target, low), high)
+        mj_step2(model, f[0])
+    return not (too_large(qpos) or too_large(qvel))
+
+
+@njit(nogil=True, cache=True)
+def advance_range(
+    first: int, last: int, control: Any, memory: Any, actions: Any, steps: Any
+) -> None:
+    """Execute `steps[e]` control steps of copies `first` to `last`."""
+    s = scratch(control)
+    for e in range(first, last):
+        for t in range(steps[e]):
+            if memory.broken[e]:
+                break
+            memory.broken[e] = not control_step(control, memory, e, actions[e, t], s)
 
 
 @njit(nogil=True, cache=True)
 def step_range(
     first: int,
     last: int,
-    exact: bool,
-    model: int,
-    fields: Any,
-    layout: Any,
-    objects: Any,
-    arm_qpos: Any,
-    arm_dof: Any,
-    mass_address: Any,
-    parent: Any,
-    arm_range: Any,
-    finger_range: Any,
-    gains: Any,
-    base: Any,
-    posture: Any,
-    grip: Any,
-    pending: Any,
+    control: Any,
+    memory: Any,
+    tracked: Any,
     actions: Any,
     steps: Any,
     out: Any,
 ) -> None:
-    """Execute `steps[e]` control steps of copies `first` to `last`."""
-    site, arm_ctrl, finger_ctrl = layout[0], layout[2], layout[3]
-    nq, nv, substeps = layout[4], layout[5], layout[6]
-    n, delay = arm_dof.shape[0], pending.shape[1]
-    mass = np.empty((n, n))
-    jacobian = np.zeros((6, nv))
-    arm_jacobian = np.empty((6, n))
-    bias, torque, null = np.empty(n), np.empty(n), np.empty(n)
-    now_qpos, now_qvel = np.empty(n), np.empty(n)
-    wanted, velocity, error = np.empty(6), np.empty(6), np.empty(3)
-    goal, goal_rotation = np.empty(3), np.empty((3, 3))
-    stiffness, damping, scale = gains[:6], gains[6:12], gains[12:18]
-    null_damping = 2.0 * np.sqrt(NULL_STIFFNESS)
-    action = np.empty(actions.shape[2])
-    target = np.empty(2)
+    """Execute `steps[e]` control steps of copies `first` to `last`, reading features.
+
+    Rows after the last sound step of a copy repeat it.
+    """
+    s = scratch(control)
     for e in range(first, last):
-        f = fields[e]
-        qpos, qvel = doubles(f[_QPOS], nq), doubles(f[_QVEL], nv)
-        ctrl = doubles(f[_CTRL], finger_ctrl + 2)
-        qfrc = doubles(f[_BIAS], nv)
-        qm = doubles(f[_MASS], layout[7])
-        tool = doubles(f[_SITE_POS] + 24 * site, 3)
-        rotation = doubles(f[_SITE_MAT] + 72 * site, 9)
+        done = 0
         for t in range(steps[e]):
-            # The command that was given `delay` control steps ago.
-            if delay:
-                action[:] = pending[e, 0]
-                for i in range(delay - 1):
-                    pending[e, i] = pending[e, i + 1]
-                pending[e, delay - 1] = actions[e, t]
-            else:
-                action[:] = actions[e, t]
-            for s in range(substeps):
-                mj_step1(model, f[0])
-                mj_jacSite(
-                    model, f[0], jacobian.ctypes.data, jacobian[3:].ctypes.data, site
-                )
-                if s == 0:
-                    move = np.empty(6)
-                    for i in range(6):
-                        move[i] = min(max(action[i], -1.0), 1.0) * scale[i]
-                    world_goal(base, tool, rotation, move, goal, goal_rotation)
-                    gripper_target(action[6], grip[e], finger_range, target)
-                for r in range(6):
-                    for i in range(n):
-                        arm_jacobian[r, i] = jacobian[r, arm_dof[i]]
-                if exact:
-                    velocity[:3] = np.dot(jacobian[:3], qvel)
-                    velocity[3:] = np.dot(jacobian[3:], qvel)
-                else:
-                    for r in range(6):
-                        velocity[r] = 0.0
-                        for i in range(n):
-                            velocity[r] += arm_jacobian[r, i] * qvel[arm_dof[i]]
-                orientation_error(goal_rotation, rotation, error)
-                for r in range(3):
-                    wanted[r] = (goal[r] - tool[r]) * stiffness[r]
-                    wanted[3 + r] = error[r] * stiffness[3 + r]
-                for r in range(6):
-                    wanted[r] -= velocity[r] * damping[r]
-                arm_mass(qm, arm_dof, mass_address, parent, mass)
-                for i in range(n):
-                    bias[i] = qfrc[arm_dof[i]]
-                    null[i] = (
-                        NULL_STIFFNESS * (posture[e, i] - qpos[arm_qpos[i]])
-                        - null_damping * qvel[arm_dof[i]]
-                    )
-                if exact:
-                    for i in range(n):
-                        now_qpos[i] = qpos[arm_qpos[i]]
-                        now_qvel[i] = qvel[arm_dof[i]]
-                    robosuite_joint_torques(
-                        mass,
-                        arm_jacobian,
-                        bias,
-                        wanted,
-                        posture[e],
-                        now_qpos,
-                        now_qvel,
-                        torque,
-                    )
-                else:
-                    joint_torques(mass, arm_jacobian, bias, wanted, null, torque)
-                for i in range(n):
-                    low, high = arm_range[i, 0], arm_range[i, 1]
-                    ctrl[arm_ctrl + i] = min(max(torque[i], low), high)
-                ctrl[finger_ctrl] = target[0]
-                ctrl[finger_ctrl + 1] = target[1]
-                mj_step2(model, f[0])
-            read_features(f, layout, objects, arm_qpos, out[e, t + 1])
+            if memory.broken[e]:
+                break
+            memory.broken[e] = not control_step(control, memory, e, actions[e, t], s)
+            if not memory.broken[e]:
+                read_features(memory.fields[e], tracked, out[e, t + 1])
+                done = t + 1
+        for t in range(done, out.shape[1] - 1):
+            out[e, t + 1] = out[e, done]
+
+
+@njit(nogil=True, cache=True)
+def clear_range(which: Any, memory: Any) -> None:
+    """Set the states of the copies `which` to their model's zero."""
+    for row in range(which.shape[0]):
+        mj_resetData(memory.models[which[row]], memory.fields[which[row], 0])
+
+
+@njit(nogil=True, cache=True)
+def set_first_matrices(which: Any, control: Any, memory: Any, qpos0: Any) -> None:
+    """Let the next physics step of the copies `which` start as robosuite's does.
+
+    At a reset robosuite computes the arm's mass matrix and Jacobian when the arm is
+    placed and nothing else is, the gripper neither, and its controller uses these in
+    the first physics step. It shifts the first joint positions by 1e-7 rad.
+    """
+    before = np.empty(control.nq)
+    jacobian = np.empty((6, control.nv))
+    for row in range(which.shape[0]):
+        e = which[row]
+        model, f = memory.models[e], memory.fields[e]
+        qpos = doubles(f[_QPOS], control.nq)
+        before[:] = qpos
+        qpos[:] = qpos0
+        for i in control.arm_qpos:
+            qpos[i] = before[i]
+        mj_kinematics(model, f[0])
+        mj_comPos(model, f[0])
+        mj_makeM(model, f[0])
+        arm_mass(doubles(f[_MASS], control.nm), control, memory.first_mass[e])
+        mj_jacSite(
+            model, f[0], jacobian.ctypes.data, jacobian[3:].ctypes.data, control.site
+        )
+        arm_columns(jacobian, control, memory.first_jacobian[e])
+        memory.fresh[e] = True
+        qpos[:] = before
+
+
+@njit(nogil=True, cache=True)
+def forward_range(which: Any, memory: Any) -> None:
+    """Compute all that follows from the positions of the copies `which`."""
+    for row in range(which.shape[0]):
+        mj_forward(memory.models[which[row]], memory.fields[which[row], 0])
 
 
 @njit(nogil=True, cache=True)
 def reset_range(
     which: Any,
-    model: int,
-    fields: Any,
-    layout: Any,
-    objects: Any,
-    mocap: Any,
-    object_joints: Any,
-    arm_qpos: Any,
+    memory: Any,
+    tracked: Any,
     joints: Any,
+    fingers: Any,
     poses: Any,
     goals: Any,
+    openings: Any,
     out: Any,
 ) -> None:
     """Place robot, objects and marks of the copies `which`, and update the rest."""
+    clear_range(which, memory)
     for row in range(which.shape[0]):
-        e = which[row]
-        f = fields[e]
-        mj_resetData(model, f[0])
-        qpos = doubles(f[_QPOS], layout[4])
-        for i in range(arm_qpos.shape[0]):
-            qpos[arm_qpos[i]] = joints[row, i]
-        qpos[layout[1]] = 0.0
-        qpos[layout[1] + 1] = 0.0
-        for k in range(object_joints.shape[0]):
-            qpos[object_joints[k] : object_joints[k] + 7] = poses[row, k]
-        for k in range(mocap.shape[0]):
-            doubles(f[_MOCAP] + 24 * mocap[k], 3)[:] = goals[row, k]
-        mj_forward(model, f[0])
-        read_features(f, layout, objects, arm_qpos, out[e])
+        f = memory.fields[which[row]]
+        qpos = doubles(f[_QPOS], tracked.nq)
+        for i in range(tracked.arm_qpos.shape[0]):
+            qpos[tracked.arm_qpos[i]] = joints[row, i]
+        qpos[tracked.finger] = fingers[row]
+        qpos[tracked.finger + 1] = -fingers[row]
+        for k in range(tracked.object_joints.shape[0]):
+            first = tracked.object_joints[k]
+            qpos[first : first + 7] = poses[row, k]
+        for k in range(tracked.mocap.shape[0]):
+            mark = tracked.mocap[k]
+            doubles(f[_MOCAP_POS] + 24 * mark, 3)[:] = goals[row, k, :3]
+            doubles(f[_MOCAP_QUAT] + 32 * mark, 4)[:] = goals[row, k, 3:]
+        for j in range(tracked.fixture_qpos.shape[0]):
+            qpos[tracked.fixture_qpos[j]] = openings[row, j]
+    forward_range(which, memory)
+    for row in range(which.shape[0]):
+        read_features(memory.fields[which[row]], tracked, out[which[row]])

@@ -50,13 +50,20 @@ def delta_rotation(vector: Array) -> Array:
 
 @njit(cache=True)
 def world_goal(
-    base: Array, tool: Array, rotation: Array, move: Array, goal: Array, turned: Array
+    base_frame: bool,
+    base: Array,
+    tool: Array,
+    rotation: Array,
+    move: Array,
+    goal: Array,
+    turned: Array,
 ) -> None:
     """Write the tool pose that a delta command asks for, in the world frame.
 
-    Deltas count from the pose achieved, along the axes of the controller's base.
+    Deltas count from the pose achieved.
 
     Args:
+        base_frame: Deltas go along the axes of the controller's base, else the world's.
         base: Position (3) and rotation (9) of the controller's base, [m].
         tool: Tool position, shape (3,), [m].
         rotation: Tool rotation, shape (9,).
@@ -64,6 +71,12 @@ def world_goal(
         goal: The result's position, shape (3,), [m].
         turned: The result's rotation, shape (3, 3).
     """
+    if not base_frame:
+        goal[:] = tool + move[:3]
+        turned[:] = np.dot(
+            delta_rotation(move[3:].copy()), rotation.copy().reshape(3, 3)
+        )
+        return
     frame = base[3:].copy().reshape(3, 3)
     inverse, pose = np.eye(4), np.eye(4)
     inverse[:3, :3] = frame.T

@@ -20,11 +20,30 @@ _logger.addFilter(_is_news)
 try:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", SyntaxWarning)
+        import robosuite
         from robosuite.controllers import load_composite_controller_config
+        from robosuite.controllers.parts.arm.osc import OperationalSpaceController
+        from robosuite.controllers.parts.generic.joint_pos import (
+            JointPositionController,
+        )
+        from robosuite.controllers.parts.gripper.simple_grip import SimpleGripController
         from robosuite.environments.manipulation.manipulation_env import ManipulationEnv
         from robosuite.models.arenas import TableArena
+        from robosuite.models.grippers import (
+            BDGripper,
+            JacoThreeFingerGripper,
+            NullGripper,
+            PandaGripper,
+            RethinkGripper,
+            Robotiq85Gripper,
+            Robotiq140Gripper,
+            WipingGripper,
+        )
+        from robosuite.models.objects import MujocoObject
         from robosuite.models.tasks import ManipulationTask
+        from robosuite.robots import FixedBaseRobot
         from robosuite.utils.control_utils import nullspace_torques, opspace_matrices
+        from robosuite.utils.observables import NO_CORRUPTION, NO_DELAY, NO_FILTER
 finally:
     _logger.removeFilter(_is_news)
 # Below warnings it repeats which controller file it loads, at every environment.
@@ -33,10 +52,27 @@ for _handler in _logger.handlers:
     _handler.setLevel(logging.WARNING)
 
 __all__ = [
+    "NO_CORRUPTION",
+    "NO_DELAY",
+    "NO_FILTER",
+    "BDGripper",
+    "FixedBaseRobot",
+    "JacoThreeFingerGripper",
+    "JointPositionController",
     "ManipulationEnv",
     "ManipulationTask",
+    "MujocoObject",
+    "NullGripper",
+    "OperationalSpaceController",
+    "PandaGripper",
+    "RethinkGripper",
+    "Robotiq85Gripper",
+    "Robotiq140Gripper",
+    "SimpleGripController",
     "TableArena",
+    "WipingGripper",
     "load_composite_controller_config",
     "nullspace_torques",
     "opspace_matrices",
+    "robosuite",
 ]

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
 from rlco.errors import SimulationError
 from rlco.physics.domain import Domain
+from rlco.physics.native import OnDivergence
+from rlco.physics.native_kernels import TOO_LARGE
 from rlco.physics.task import Array, InitialState, SceneState, Task, check_actions
 
 
@@ -19,25 +23,59 @@ def stack_states(states: list[SceneState], axis: int = 0) -> SceneState:
     )
 
 
+def keep_divergence(env: Any) -> None:
+    """Let a diverged state show, rather than start over from the model's zero."""
+    options = env.sim.model._model.opt
+    options.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+
+
+def step_soundly(env: Any, action: Array) -> tuple[bool, Any]:
+    """Execute a control step; return whether the state is sound, and what it gave."""
+    data = env.sim.data._data
+    if not _is_sound(data):
+        return False, None
+    try:
+        out = env.step(action)
+    except np.linalg.LinAlgError:  # robosuite's controller inverted NaN
+        return False, None
+    return _is_sound(data), out
+
+
+def _is_sound(data: mujoco.MjData) -> bool:
+    numbers = np.concatenate([data.qpos, data.qvel])
+    return bool((np.abs(numbers) < TOO_LARGE).all())
+
+
 class RobosuiteStepper:
     """N copies of robosuite's own environment, one after the other.
 
     The same interface as `rlco.physics.native.NativeStepper`.
     """
 
-    def __init__(self, task: Task, domain: Domain, *, num_envs: int) -> None:
+    def __init__(
+        self,
+        task: Task,
+        domain: Domain,
+        *,
+        num_envs: int,
+        variation: str | None = None,
+        on_divergence: OnDivergence = "raise",
+    ) -> None:
         from rlco.physics.tabletop import Tabletop
 
         self.task = task
         self.domain = domain
         self.num_envs = num_envs
-        self.envs = [Tabletop(task, domain) for _ in range(num_envs)]
+        self._on_divergence = on_divergence
+        self.envs = [
+            Tabletop(task, domain, variation=variation) for _ in range(num_envs)
+        ]
         for env in self.envs:
-            # A diverged state must show as NaN, not start over from the model's zero.
-            flags = env.sim.model._model.opt
-            flags.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+            keep_divergence(env)
         self.model = self.envs[0].sim.model._model
         self.data = [env.sim.data._data for env in self.envs]
+        self.diverged = np.zeros(num_envs, dtype=np.bool_)
+        self._present: list[SceneState] = []
 
     def reset(
         self, initial: list[InitialState], which: NDArray[np.int64] | None = None
@@ -46,6 +84,13 @@ class RobosuiteStepper:
         which = np.arange(self.num_envs) if which is None else which
         for index, start in zip(which.tolist(), initial, strict=True):
             self.envs[index].start(start)
+        self.diverged[which] = False
+        sound = [index for index in range(self.num_envs) if not self.diverged[index]]
+        fresh = {index: self.envs[index].scene_state() for index in sound}
+        self._present = [
+            fresh[index] if index in fresh else self._present[index]
+            for index in range(self.num_envs)
+        ]
         return self.scene_state()
 
     def step(
@@ -55,30 +100,28 @@ class RobosuiteStepper:
 
         Raises:
             RlcoError: If an action is NaN or infinite.
-            SimulationError: If a copy diverges.
+            SimulationError: If a copy diverges, unless those are marked.
         """
         check_actions(actions)
         count, horizon, _ = actions.shape
         if steps is None:
             steps = np.full(count, horizon, dtype=np.int64)
-        rows, broken = [], []
+        rows = []
         for index, env in enumerate(self.envs):
-            states = [env.scene_state()]
-            try:
-                for t in range(horizon):
-                    if t < steps[index]:
-                        env.step(actions[index, t])
-                    states.append(env.scene_state())
-            except np.linalg.LinAlgError:  # robosuite's controller inverted NaN
-                broken.append(index)
-                continue
+            states = [self._present[index]]
+            for t in range(horizon):
+                if t < steps[index] and not self.diverged[index]:
+                    sound, _ = step_soundly(env, actions[index, t])
+                    self.diverged[index] = not sound
+                    if sound:
+                        self._present[index] = env.scene_state()
+                states.append(self._present[index])
             rows.append(stack_states(states))
-            if not np.isfinite(env.sim.data._data.qpos).all():
-                broken.append(index)
-        if broken:
+        if self._on_divergence == "raise" and self.diverged.any():
+            broken = np.flatnonzero(self.diverged).tolist()
             raise SimulationError(self.task.name, broken)
         return stack_states(rows)
 
     def scene_state(self) -> SceneState:
         """Return the present state of all copies, leading axes (N,)."""
-        return stack_states([env.scene_state() for env in self.envs])
+        return stack_states(self._present)

@@ -12,7 +12,7 @@ from rlco.physics.domain import Domain
 from rlco.physics.native import NativeStepper
 from rlco.physics.push_cube import TASK
 from rlco.physics.tabletop import Tabletop
-from rlco.physics.task import InitialState
+from rlco.physics.task import InitialState, Task
 
 Array = NDArray[np.float64]
 
@@ -54,7 +54,7 @@ def anchor(env: Tabletop, stepper: NativeStepper) -> None:
     state = np.empty(mujoco.mj_stateSize(model, kind))
     mujoco.mj_getState(model, data, state, kind)
     mujoco.mj_setState(stepper.model, stepper.data[0], state, kind)
-    stepper._grip[0] = env.robots[0].gripper["right"].current_action
+    stepper.copies.memory.grip[0] = env.robots[0].gripper["right"].current_action
 
 
 def deviation(env: Tabletop, stepper: NativeStepper) -> float:
@@ -62,7 +62,11 @@ def deviation(env: Tabletop, stepper: NativeStepper) -> float:
     return float(np.abs(env.sim.data._data.qpos - stepper.data[0].qpos).max())
 
 
-def make_pair(domain: Domain, *, exact: bool) -> tuple[WatchedTabletop, NativeStepper]:
+def make_pair(
+    domain: Domain, *, exact: bool, task: Task = TASK, variation: str | None = None
+) -> tuple[WatchedTabletop, NativeStepper]:
     """Build the same task on both backends."""
-    stepper = NativeStepper(TASK, domain, num_envs=1, threads=1, exact=exact)
-    return WatchedTabletop(TASK, domain), stepper
+    stepper = NativeStepper(
+        task, domain, num_envs=1, threads=1, exact=exact, variation=variation
+    )
+    return WatchedTabletop(task, domain, variation=variation), stepper

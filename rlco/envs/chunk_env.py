@@ -1,0 +1,218 @@
+"""What all of rlco's own environments share: N episodes, one action chunk a step."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any, Literal, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from tensordict import NonTensorData, NonTensorStack, TensorDict, TensorDictBase
+from torchrl.data import Bounded, Categorical, Composite, NonTensor, Unbounded
+from torchrl.envs import EnvBase
+
+from rlco import keys
+from rlco.errors import SimulationError
+from rlco.physics.task import Array
+
+RewardKind = Literal["shaped", "sparse"]
+OnDivergence = Literal["reset", "raise"]
+ON_DIVERGENCE = ("reset", "raise")
+_logger = logging.getLogger(__name__)
+
+
+class TaskInfo(Protocol):
+    """What an environment says of its task."""
+
+    @property
+    def name(self) -> str:
+        """What it is called."""
+
+    @property
+    def instructions(self) -> tuple[str, ...]:
+        """Every instruction there is."""
+
+    @property
+    def horizon(self) -> int:
+        """Length of an episode in control steps."""
+
+    @property
+    def control_frequency(self) -> int:
+        """Control steps a second [Hz]."""
+
+    def description(self) -> dict[str, Any]:
+        """Return what a policy's user must know of it, in types of JSON."""
+
+
+class ChunkEnv(EnvBase):
+    """N episodes of a task, advanced one action chunk at a time.
+
+    One step is one decision: every environment executes the chunk's H control
+    steps, or as many as its episode has left. The reward is the sum over the
+    executed steps. Episodes end at the horizon, as ``truncated``; success does not
+    end them, and nothing in these tasks is ``terminated``.
+
+    Episode k of environment i starts from a state that depends only on the seed
+    and on k * N + i, so that the first M episodes of a seed are the same for every
+    batch size, policy and domain.
+
+    An environment whose simulation diverges is cut off there: ``truncated`` with
+    reward 0 and its last sound observation, `diverged` set, and the next reset starts
+    its next episode. It is truncated rather than terminated because a broken
+    simulation says nothing of the task: a value of zero would teach the policy to
+    avoid, or to seek, what breaks the simulator. `divergences` counts them.
+
+    Args:
+        task: What the task is.
+        num_envs: N, the batch size.
+        chunk: H, control steps a decision.
+        action_size: A, numbers in an action, each in [-1, 1].
+        horizon: Episode length in control steps; the task's own by default.
+        seed: Draws the episodes.
+        on_divergence: ``reset``, or ``raise`` a `SimulationError`.
+
+    Attributes:
+        divergences: How many simulations have diverged since construction.
+    """
+
+    task: TaskInfo
+
+    def __init__(
+        self,
+        task: TaskInfo,
+        *,
+        num_envs: int,
+        chunk: int,
+        action_size: int,
+        horizon: int | None,
+        seed: int,
+        on_divergence: OnDivergence,
+    ) -> None:
+        super().__init__(device="cpu", batch_size=[num_envs])
+        self.task = task
+        self.chunk = chunk
+        self.horizon = horizon or task.horizon
+        self.divergences = 0
+        self._on_divergence = on_divergence
+        self._seed = seed
+        self._episode = np.zeros(num_envs, dtype=np.int64)
+        self._elapsed = np.zeros(num_envs, dtype=np.int64)
+        self._instruction_id = np.zeros(num_envs, dtype=np.int64)
+        self.action_spec = Bounded(-1.0, 1.0, (num_envs, chunk, action_size))
+        self.reward_spec = Unbounded((num_envs, 1))
+        flag = Categorical(2, (num_envs, 1), dtype=torch.bool)
+        self.done_spec = Composite(
+            {k: flag.clone() for k in (keys.DONE, keys.TERMINATED, keys.TRUNCATED)},
+            shape=(num_envs,),
+        )
+
+    def _observe_as(
+        self, state: int, environment_state: int, image_size: tuple[int, int] | None
+    ) -> None:
+        """Set the specs of what is observed."""
+        (n,) = self.batch_size
+        seen: dict[str, object] = {
+            "state": Unbounded((n, state)),
+            "environment_state": Unbounded((n, environment_state)),
+        }
+        if image_size:
+            seen["image"] = Bounded(0, 255, (n, 3, *image_size), dtype=torch.uint8)
+        texts = self.task.instructions
+        flag = Categorical(2, (n, 1), dtype=torch.bool)
+        self.observation_spec = Composite(
+            {
+                keys.OBSERVATION: Composite(seen, shape=(n,)),
+                keys.INSTRUCTION: NonTensor((n,), example_data=texts[0]),
+                keys.INSTRUCTION_ID: Categorical(len(texts), (n,), dtype=torch.int64),
+                keys.SUCCESS: flag.clone(),
+                keys.DIVERGED: flag.clone(),
+            },
+            shape=(n,),
+        )
+
+    # -- What a backend fills in -----------------------------------------------
+
+    def _start(self, which: NDArray[np.int64], episodes: list[int]) -> None:
+        """Start the episodes of these indices in the environments `which`."""
+        raise NotImplementedError
+
+    def _advance(
+        self, actions: Array, steps: NDArray[np.int64]
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        """Execute chunks (N, H, A); return rewards summed, (N,), and who diverged."""
+        raise NotImplementedError
+
+    def _seen(self) -> dict[str, torch.Tensor]:
+        """Return the entries under `observation`."""
+        raise NotImplementedError
+
+    def _solved(self) -> NDArray[np.bool_]:
+        """Return whether each environment is in a solved state, (N,)."""
+        raise NotImplementedError
+
+    # -- TorchRL's interface ---------------------------------------------------
+
+    def start_at(self, episode: int) -> None:
+        """Let the next reset of every environment start its `episode`-th episode."""
+        self._episode[:] = episode
+
+    def _reset(
+        self, tensordict: TensorDictBase | None = None, **kwargs: object
+    ) -> TensorDict:
+        (n,) = self.batch_size
+        which: NDArray[np.int64] = np.arange(n)
+        if tensordict is not None and "_reset" in tensordict:
+            which = np.flatnonzero(tensordict["_reset"].numpy().reshape(n))
+        episodes = (self._episode[which] * n + which).tolist()
+        self._episode[which] += 1
+        self._elapsed[which] = 0
+        self._start(which, episodes)
+        return self._result(np.zeros(n, dtype=np.bool_), np.zeros(n, dtype=np.bool_))
+
+    def _step(self, tensordict: TensorDictBase) -> TensorDict:
+        actions = tensordict.get(keys.ACTION).numpy().astype(np.float64)
+        steps = np.minimum(self.chunk, self.horizon - self._elapsed)
+        reward, diverged = self._advance(actions, steps)
+        self._elapsed += steps
+        if diverged.any():
+            self._report(diverged)
+            reward = np.where(diverged, 0.0, reward)
+        out = self._result((self._elapsed >= self.horizon) | diverged, diverged)
+        return out.set(keys.REWARD, torch.from_numpy(reward).float().unsqueeze(-1))
+
+    def _result(
+        self, truncated: NDArray[np.bool_], diverged: NDArray[np.bool_]
+    ) -> TensorDict:
+        (n,) = self.batch_size
+        cut = torch.from_numpy(truncated).unsqueeze(-1)
+        texts = [self.task.instructions[i] for i in self._instruction_id.tolist()]
+        return TensorDict(
+            {
+                keys.OBSERVATION: TensorDict(self._seen(), batch_size=[n]),
+                keys.INSTRUCTION: NonTensorStack(*map(NonTensorData, texts)),
+                keys.INSTRUCTION_ID: torch.from_numpy(self._instruction_id.copy()),
+                keys.SUCCESS: torch.from_numpy(self._solved()).unsqueeze(-1),
+                keys.DIVERGED: torch.from_numpy(diverged.copy()).unsqueeze(-1),
+                keys.TRUNCATED: cut,
+                keys.TERMINATED: torch.zeros_like(cut),
+                keys.DONE: cut.clone(),
+            },
+            batch_size=[n],
+        )
+
+    def _report(self, diverged: NDArray[np.bool_]) -> None:
+        broken = np.flatnonzero(diverged).tolist()
+        if self._on_divergence == "raise":
+            raise SimulationError(self.task.name, broken)
+        if not self.divergences:
+            _logger.warning(
+                "%s; they are reset. Later ones are only counted, in `divergences`.",
+                str(SimulationError(self.task.name, broken)).rstrip("."),
+            )
+        self.divergences += len(broken)
+
+    def _set_seed(self, seed: int | None) -> None:
+        if seed is not None:
+            self._seed = int(seed)
+        self._episode[:] = 0

@@ -1,0 +1,163 @@
+"""robosuite's own tasks as one TorchRL environment, under rlco's keys."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+
+from rlco.envs.chunk_env import ChunkEnv, OnDivergence, RewardKind
+from rlco.physics.arm_control import Array
+from rlco.physics.robosuite_batch import BatchStep, RobosuiteBatch
+from rlco.physics.robosuite_envs import RobosuiteEnvs
+from rlco.physics.robosuite_tasks import (
+    ENVIRONMENT_STATE,
+    STATE,
+    RobosuiteTask,
+    make_plain,
+)
+
+
+class Batch(Protocol):
+    """What a backend offers: N copies of a robosuite environment."""
+
+    @property
+    def action_size(self) -> int:
+        """Numbers in an action."""
+
+    @property
+    def success(self) -> NDArray[np.bool_]:
+        """Robosuite's check of the present state, shape (N,)."""
+
+    def reset(self, seeds: list[int], which: NDArray[np.int64]) -> dict[str, Array]:
+        """Start episodes in the copies `which`; return all observations."""
+
+    def step(self, actions: Array, steps: NDArray[np.int64]) -> BatchStep:
+        """Execute chunks (N, H, A)."""
+
+    def observations(self) -> dict[str, Array]:
+        """Return the present observations, each shape (N, K)."""
+
+
+class RobosuiteEnv(ChunkEnv):
+    """N episodes of a robosuite task; see `ChunkEnv` for how they advance.
+
+    ``("observation", "state")`` is the tool's position [m] and orientation (x, y, z,
+    w) in the world frame and the joints of the gripper, named by `task.state_names`;
+    ``("observation", "environment_state")`` robosuite's ``object-state``. The reward
+    is robosuite's own, with ``reward_shaping=True`` for ``shaped``.
+
+    Args:
+        task: The task.
+        backend: The copies, which mark those that diverge.
+        num_envs: N, the batch size.
+        chunk: H, control steps a decision.
+        horizon: Episode length in control steps; the task's own by default.
+        seed: Draws initial states.
+        on_divergence: ``reset`` or ``raise``.
+    """
+
+    task: RobosuiteTask
+
+    def __init__(
+        self,
+        task: RobosuiteTask,
+        backend: Batch,
+        *,
+        num_envs: int,
+        chunk: int,
+        horizon: int | None,
+        seed: int,
+        on_divergence: OnDivergence = "reset",
+    ) -> None:
+        super().__init__(
+            task,
+            num_envs=num_envs,
+            chunk=chunk,
+            action_size=backend.action_size,
+            horizon=horizon,
+            seed=seed,
+            on_divergence=on_divergence,
+        )
+        self.backend = backend
+        self._start(np.arange(num_envs), list(range(num_envs)))
+        seen = self._seen()
+        self._observe_as(
+            seen["state"].shape[1], seen["environment_state"].shape[1], None
+        )
+
+    def episode_seed(self, index: int) -> int:
+        """Return the seed of robosuite's draws in the index-th episode."""
+        return int(np.random.SeedSequence([self._seed, index]).generate_state(1)[0])
+
+    def _start(self, which: NDArray[np.int64], episodes: list[int]) -> None:
+        self.backend.reset([self.episode_seed(index) for index in episodes], which)
+
+    def _advance(
+        self, actions: Array, steps: NDArray[np.int64]
+    ) -> tuple[Array, NDArray[np.bool_]]:
+        out = self.backend.step(actions, steps)
+        return out.reward.sum(axis=1), out.diverged
+
+    def _seen(self) -> dict[str, torch.Tensor]:
+        found = self.backend.observations()
+        state = np.concatenate([found[name] for name in STATE], axis=1)
+        return {
+            "state": torch.from_numpy(state).float(),
+            "environment_state": torch.from_numpy(found[ENVIRONMENT_STATE]).float(),
+        }
+
+    def _solved(self) -> NDArray[np.bool_]:
+        return self.backend.success.copy()
+
+
+def make_robosuite_env(
+    name: str,
+    *,
+    backend: str,
+    num_envs: int,
+    chunk: int,
+    reward: RewardKind,
+    horizon: int | None,
+    seed: int,
+    threads: int | None,
+    on_divergence: OnDivergence,
+    options: Mapping[str, Any],
+) -> RobosuiteEnv:
+    """Return a robosuite task as a TorchRL environment; see `rlco.envs.make_env`."""
+
+    def make() -> Any:
+        return make_plain(name, **{"reward_shaping": reward == "shaped", **options})
+
+    wanted = [*STATE, ENVIRONMENT_STATE]
+    first = make()
+    task = RobosuiteTask.of(name, first)
+    batch: Batch
+    if backend == "native":
+        batch = RobosuiteBatch(
+            first,
+            num_envs=num_envs,
+            threads=threads,
+            observations=wanted,
+            on_divergence="mark",
+        )
+    else:
+        envs = iter([first])
+        batch = RobosuiteEnvs(
+            lambda: next(envs, None) or make(),
+            num_envs=num_envs,
+            observations=wanted,
+            on_divergence="mark",
+        )
+    return RobosuiteEnv(
+        task,
+        batch,
+        num_envs=num_envs,
+        chunk=chunk,
+        horizon=horizon,
+        seed=seed,
+        on_divergence=on_divergence,
+    )

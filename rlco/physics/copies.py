@@ -1,0 +1,237 @@
+"""N copies of one compiled model under one controller, stepped in threads."""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rlco.errors import RlcoError, UnknownNameError
+from rlco.physics.arm_control import Array, Control, Integers
+from rlco.physics.libmujoco import address_of
+from rlco.physics.model_struct import ModelCopy, array_fields, reserve_memory
+from rlco.physics.native_kernels import FIELDS, Memory
+
+RESERVED = 16 << 20  # for each copy's contacts, as address space [bytes]
+
+
+class Copies:
+    """N states of a model, each with a model of its own where it differs.
+
+    Args:
+        model: The compiled model; copied.
+        control: The arm's controller.
+        gains: Stiffness and damping of the controller, each shape (D,).
+        num_envs: Number of copies N.
+        threads: Python threads; by default one a core, at most `num_envs`.
+        command_delay: Control steps between a command and its execution.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        control: Control,
+        gains: tuple[Array, Array],
+        *,
+        num_envs: int,
+        threads: int | None,
+        command_delay: int = 0,
+    ) -> None:
+        self.control = control
+        self.num_envs = num_envs
+        self.model: mujoco.MjModel = copy.copy(model)
+        # A diverged state must show, not start over from the model's zero.
+        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+        reserve_memory(self.model, min(RESERVED, self.model.narena))
+        self.data = [mujoco.MjData(self.model) for _ in range(num_envs)]
+        rows = [
+            [d._address, *(address_of(getattr(d, name)) for name in FIELDS)]
+            for d in self.data
+        ]
+        fingers = control.finger_ctrl.size
+        self.memory = Memory(
+            models=np.full(num_envs, self.model._address, dtype=np.int64),
+            fields=np.array(rows, dtype=np.int64),
+            posture=np.zeros((num_envs, control.arm_dof.size)),
+            grip=np.zeros((num_envs, fingers)),
+            stiffness=np.tile(gains[0], (num_envs, 1)),
+            damping=np.tile(gains[1], (num_envs, 1)),
+            delay=np.full(num_envs, command_delay, dtype=np.int64),
+            pending=np.zeros((num_envs, command_delay, control.action_size)),
+            broken=np.zeros(num_envs, dtype=np.bool_),
+            fresh=np.zeros(num_envs, dtype=np.bool_),
+            first_mass=np.zeros((num_envs, control.arm_dof.size, control.arm_dof.size)),
+            first_jacobian=np.zeros((num_envs, 6, control.arm_dof.size)),
+        )
+        self._models: dict[int, ModelCopy] = {}
+        self._compiler: tuple[mujoco.MjModel, mujoco.MjData] | None = None
+        count = min(threads or os.cpu_count() or 1, num_envs)
+        self._pool = ThreadPoolExecutor(count) if count > 1 else None
+        # Several ranges a thread: copies in contact take longer than others.
+        parts = min(num_envs, 4 * count) if count > 1 else 1
+        edges = np.linspace(0, num_envs, parts + 1).astype(int)
+        self._ranges = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+
+    def run(self, kernel: Callable[..., None], *arguments: Any) -> None:
+        """Run a compiled loop over all copies, in threads."""
+        if self._pool is None:
+            kernel(0, self.num_envs, *arguments)
+            return
+        jobs = [self._pool.submit(kernel, *r, *arguments) for r in self._ranges]
+        for job in jobs:
+            job.result()
+
+    def forget(self, which: Integers) -> None:
+        """Drop pending commands and divergences of the copies `which`."""
+        self.memory.pending[which] = 0.0
+        self.memory.broken[which] = False
+
+    # -- What differs from copy to copy ----------------------------------------
+
+    def randomise(
+        self,
+        which: Integers,
+        fields: Mapping[str, NDArray[Any]] | None = None,
+        *,
+        stiffness: NDArray[Any] | float | None = None,
+        damping: NDArray[Any] | float | None = None,
+        command_delay: NDArray[Any] | int | None = None,
+    ) -> None:
+        """Change the copies `which` alone, until told otherwise.
+
+        Args:
+            which: Indices of copies, shape (R,).
+            fields: Arrays of the model by MuJoCo's name (``body_mass``), of the
+                model's shape, or with a leading axis (R,) of one value a copy. What
+                MuJoCo derives from them (``mj_setConst``) follows.
+            stiffness: The controller's, broadcast to (R, D). Damping keeps its ratio
+                to critical damping where it is not given.
+            damping: The controller's, broadcast to (R, D).
+            command_delay: Control steps between a command and its execution,
+                broadcast to (R,).
+
+        Raises:
+            RlcoError: If a name or a shape is not the model's, or a delay negative.
+        """
+        if fields:
+            self.patch_model(which, fields, derive=True)
+        self.set_gains(which, stiffness, damping)
+        if command_delay is not None:
+            self.set_delay(which, command_delay)
+
+    def patch_model(
+        self, which: Integers, fields: Mapping[str, NDArray[Any]], *, derive: bool
+    ) -> None:
+        """Give the copies `which` their own values of arrays of the model.
+
+        Args:
+            which: Indices of copies, shape (R,).
+            fields: Arrays by MuJoCo's name, of the model's shape, or with a leading
+                axis (R,) of one value a copy.
+            derive: Recompute what MuJoCo derives from masses and the like
+                (``mj_setConst``).
+
+        Raises:
+            RlcoError: If a name or a shape is not the model's.
+        """
+        for row, number in enumerate(which.tolist()):
+            own = self._own_model(number)
+            for name, value in fields.items():
+                own.set_array(name, self._row(name, value, row, len(which)))
+            if derive:
+                self._derive(own)
+
+    def model_of(self, number: int) -> mujoco.MjModel:
+        """Return one copy's model for MuJoCo's Python functions; valid until the next.
+
+        The copies' own model where the copy has no other.
+        """
+        if number not in self._models:
+            return self.model
+        return self._compiled(self._models[number])[0]
+
+    def set_gains(
+        self,
+        which: Integers,
+        stiffness: NDArray[Any] | float | None,
+        damping: NDArray[Any] | float | None,
+    ) -> None:
+        """Set the controller's gains; damping keeps its ratio where it is not given."""
+        memory = self.memory
+        if stiffness is not None:
+            ratio = memory.damping[which] / np.sqrt(memory.stiffness[which])
+            memory.stiffness[which] = stiffness
+            memory.damping[which] = ratio * np.sqrt(memory.stiffness[which])
+        if damping is not None:
+            memory.damping[which] = damping
+
+    def set_delay(self, which: Integers, delay: NDArray[Any] | int) -> None:
+        """Set the command delay [control steps]; what is pending is dropped.
+
+        Raises:
+            RlcoError: If a delay is negative.
+        """
+        values = np.broadcast_to(np.asarray(delay, dtype=np.int64), which.shape)
+        if values.min(initial=0) < 0:
+            raise RlcoError(f"command_delay={delay} is not allowed; give 0 or more.")
+        longest = max(int(values.max(initial=0)), self.memory.pending.shape[1])
+        pending = np.zeros((self.num_envs, longest, self.control.action_size))
+        pending[:, : self.memory.pending.shape[1]] = self.memory.pending
+        pending[which] = 0.0
+        self.memory = self.memory._replace(pending=pending)
+        self.memory.delay[which] = values
+
+    def restore_models(self, which: Integers) -> None:
+        """Let the copies `which` have the common model again."""
+        for number in which.tolist():
+            self.memory.models[number] = self.model._address
+            self._models.pop(number, None)
+
+    def _own_model(self, number: int) -> ModelCopy:
+        if number not in self._models:
+            self._models[number] = ModelCopy(self.model)
+            self.memory.models[number] = self._models[number].address
+        return self._models[number]
+
+    def _row(self, name: str, given: Any, row: int, rows: int) -> NDArray[Any]:
+        if name not in array_fields():
+            raise UnknownNameError("array of mjModel", name, array_fields())
+        value: NDArray[Any] = np.asarray(given)
+        shape = getattr(self.model, name).shape
+        if value.shape == shape:
+            return value
+        if value.shape == (rows, *shape):
+            value = value[row]
+            return value
+        raise RlcoError(
+            f"{name} has shape {value.shape}; give {shape}, or {(rows, *shape)} for "
+            "one value a copy."
+        )
+
+    def _compiled(self, own: ModelCopy) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Return a whole model with a copy's arrays, and data to compute with."""
+        if self._compiler is None:
+            model = copy.copy(self.model)
+            self._compiler = model, mujoco.MjData(model)
+        model = self._compiler[0]
+        for name in array_fields():
+            source = own.arrays.get(name)
+            getattr(model, name)[:] = (
+                getattr(self.model, name) if source is None else (source)
+            )
+        return self._compiler
+
+    def _derive(self, own: ModelCopy) -> None:
+        model, data = self._compiled(own)
+        mujoco.mj_setConst(model, data)
+        for name in array_fields():
+            value = getattr(model, name)
+            if not np.array_equal(value, getattr(self.model, name)):
+                own.set_array(name, value)
+        own.set_statistics(model)

@@ -1,0 +1,294 @@
+"""One robosuite environment whose Python looks at, and resets, the states of others.
+
+Reward, success, observations and initial states of any robosuite task are Python that
+reads ``env.sim.data``. That name is pointed at one copy's state after the other, so
+that robosuite's own code says what they are.
+"""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rlco.errors import RlcoError, UnknownNameError
+from rlco.physics.arm_control import refuse_unsupported
+from rlco.physics.global_random import seeded
+from rlco.physics.model_struct import array_fields
+from rlco.physics.quiet_robosuite import (
+    NO_CORRUPTION,
+    NO_DELAY,
+    NO_FILTER,
+    ManipulationEnv,
+)
+
+Array = NDArray[np.float64]
+Cache = dict[str, Any]
+# What a control step of robosuite's own runs in Python beside reward and observables.
+_STEP_HOOKS = (
+    "step",
+    "_pre_action",
+    "_post_action",
+    "_get_observations",
+    "_update_observables",
+    "update_state",
+)
+
+
+class RobosuiteSource:
+    """robosuite's reset, reward, success and observations, of any copy's state.
+
+    Args:
+        env: A robosuite environment, reset once; it cannot step itself any more.
+        observations: Names of observables, or of modalities with ``-state`` appended,
+            as robosuite's own observations have them; None: all that are active.
+
+    Attributes:
+        env: The environment.
+        columns: Where each observation lies in what `observe` returns.
+        lags: Whether an observable reads what was measured one control step before,
+            so that it must be measured after every one.
+        reset_fields: Arrays of the model that a reset changes.
+
+    Raises:
+        RlcoError: If the environment does what is not supported; names it.
+        UnknownNameError: If there is no such observation.
+    """
+
+    def __init__(self, env: Any, observations: Sequence[str] | None = None) -> None:
+        _refuse(env)
+        self.env = env
+        self._measured: list[tuple[str, Callable[[Cache], Any]]] = []
+        self.reset_fields = _fields_that_change(env)
+        self.lags = False
+        self.columns: dict[str, NDArray[np.int64]] = {}
+        self._choose(observations)
+        self._refuse_views()
+        _make_reset_cheap(env)
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model; a reset writes `reset_fields` into it."""
+        return self.env.sim.model._model
+
+    def look_at(self, data: mujoco.MjData) -> None:
+        """Let robosuite's code see this state from now on."""
+        self.env.sim.data._data = data
+
+    def place(self, seed: int) -> None:
+        """Start an episode in the state looked at, whose numbers are the model's zero.
+
+        Positions are set, and nothing that follows from them is computed.
+
+        Args:
+            seed: Of the global generators that robosuite draws from.
+        """
+        with seeded(seed):
+            self.env._reset_internal()
+
+    def observe(self, cache: Cache) -> Array:
+        """Return the observations of the state looked at, one row.
+
+        Args:
+            cache: robosuite's cache of what was measured before, one a copy.
+        """
+        for name, sensor in self._measured:
+            value = np.array(sensor(cache))
+            cache[name] = value[0] if value.shape == (1,) else value
+        return np.concatenate([np.ravel(cache[name]) for name in self._active])
+
+    def _refuse_views(self) -> None:
+        """Raise where an observable clings to the arrays of robosuite's own state."""
+        own = self.env.sim.data._data
+        clinging = []
+        other = mujoco.MjData(self.model)
+        mujoco.mj_forward(self.model, other)
+        moved = np.random.default_rng(0).standard_normal(other.xpos.size)
+        for state in (
+            "xpos",
+            "xquat",
+            "xmat",
+            "geom_xpos",
+            "geom_xmat",
+            "site_xpos",
+            "site_xmat",
+            "qpos",
+            "qvel",
+        ):
+            array = getattr(own, state)
+            before = array.copy()
+            self.look_at(other)
+            first = self.observe({})
+            array += np.resize(moved, array.shape)
+            if not np.array_equal(first, self.observe({}), equal_nan=True):
+                clinging.append(state)
+            array[:] = before
+        self.look_at(own)
+        if clinging:
+            raise RlcoError(
+                f"{type(self.env).__name__}: the native backend does not support "
+                f"observables that hold on to the arrays {clinging} of one state; read "
+                "sim.data in the sensor, or give backend='robosuite'."
+            )
+
+    def _choose(self, wanted: Sequence[str] | None) -> None:
+        """Find what must be measured for the wanted observations, and in what order."""
+        found = {k: o for k, o in self.env._observables.items() if o.is_enabled()}
+        sensors = {name: observable._sensor for name, observable in found.items()}
+        active = [name for name, observable in found.items() if observable.is_active()]
+        groups: dict[str, list[str]] = {}
+        for name in active:
+            groups.setdefault(f"{found[name].modality}-state", []).append(name)
+        known = [*active, *groups]
+        for name in wanted or ():
+            if name not in known:
+                raise UnknownNameError("observation", name, known)
+        wanted = known if wanted is None else wanted
+        reads, self.lags = _dependencies(sensors)
+        needed: set[str] = set()
+        todo = [n for name in wanted for n in groups.get(name, [name])]
+        self._active = [name for name in active if name in todo]
+        while todo:
+            name = todo.pop()
+            if name not in needed:
+                needed.add(name)
+                todo += reads[name]
+        self._measured = [(k, sensor) for k, sensor in sensors.items() if k in needed]
+        cache: Cache = {}
+        self.observe(cache)
+        end = 0
+        for name in self._active:
+            size = np.size(cache[name])
+            self.columns[name] = np.arange(end, end + size)
+            end += size
+        for group, names in groups.items():
+            if group in wanted:
+                self.columns[group] = np.concatenate([self.columns[n] for n in names])
+        self.columns = {k: v for k, v in self.columns.items() if k in wanted}
+
+
+class _Reads(dict[str, Any]):
+    """A cache that notes which of its entries are read."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.seen: set[str] = set()
+
+    def __getitem__(self, key: str) -> Any:
+        self.seen.add(key)
+        return super().__getitem__(key)
+
+
+def _dependencies(
+    sensors: dict[str, Callable[[Cache], Any]],
+) -> tuple[dict[str, list[str]], bool]:
+    """Return which measured values each sensor reads, and whether any is an old one."""
+    cache, reads = _Reads(), {name: set[str]() for name in sensors}
+    written: dict[str, str] = {}  # also by sensors on the side
+    lags = False
+    for turn in range(3):
+        fresh: set[str] = set()
+        for name, sensor in sensors.items():
+            before = {k: id(v) for k, v in cache.items()}
+            cache.seen = set()
+            cache[name] = np.array(sensor(cache))
+            reads[name] |= {written.get(k, k) for k in cache.seen} & set(sensors)
+            lags |= turn == 2 and not (cache.seen <= fresh)
+            changed = {k for k, v in cache.items() if before.get(k) != id(v)}
+            written |= dict.fromkeys(changed, name)
+            fresh |= changed
+    return {name: sorted(found - {name}) for name, found in reads.items()}, lags
+
+
+def _refuse(env: Any) -> None:
+    """Raise where robosuite's Python does more than it is asked here."""
+    name = type(env).__name__
+    if not isinstance(env, ManipulationEnv):
+        raise RlcoError(
+            f"{name} is not a manipulation environment of robosuite; give the one that "
+            "robosuite.make returns, without wrappers."
+        )
+    refuse_unsupported(env)
+    for what, found, advice in (
+        ("hard_reset=True", env.hard_reset, "give hard_reset=False"),
+        ("use_camera_obs=True", env.use_camera_obs, "give use_camera_obs=False"),
+        (
+            "single_object_mode=1",
+            getattr(env, "single_object_mode", 0) == 1,
+            "give the mode 2 and the object's type",
+        ),
+        *(
+            (f"its own {hook}()", _overrides(env, hook), "do that in reward()")
+            for hook in _STEP_HOOKS
+        ),
+        *(
+            (
+                f"noise, delay or another rate of the observable {k!r}",
+                not _plain(o, env),
+                "leave its sensor as it is",
+            )
+            for k, o in env._observables.items()
+        ),
+    ):
+        if found:
+            raise RlcoError(
+                f"{name}: the native backend does not support {what}; {advice}, or "
+                "give backend='robosuite'."
+            )
+
+
+def _overrides(env: Any, method: str) -> bool:
+    ours = getattr(type(env), method)
+    return ours is not getattr(ManipulationEnv, method) or method in vars(env)
+
+
+def _plain(observable: Any, env: Any) -> bool:
+    same_rate = observable._sampling_timestep == 1.0 / env.control_freq
+    return (
+        observable._corrupter is NO_CORRUPTION
+        and observable._filter is NO_FILTER
+        and observable._delayer is NO_DELAY
+        and same_rate
+    )
+
+
+def _fields_that_change(env: Any) -> tuple[str, ...]:
+    """Return the arrays of the model that resets write, colours left out."""
+    names = [n for n in array_fields() if not n.endswith("_rgba")]
+    model = env.sim.model._model
+    seen = []
+    for seed in (0, 1):
+        with seeded(seed):
+            env.reset()
+        seen.append([getattr(model, name).copy() for name in names])
+    return tuple(
+        name
+        for name, one, other in zip(names, *seen, strict=True)
+        if not np.array_equal(one, other)
+    )
+
+
+def _make_reset_cheap(env: Any) -> None:
+    """Leave out of a reset what builds names, controllers and buffers again."""
+    env._setup_references = lambda: None
+    for robot in env.robots:
+        robot.reset = functools.partial(_place_robot, robot)
+
+
+def _place_robot(robot: Any, deterministic: bool = False) -> None:
+    """Set the first posture as robosuite's ``Robot.reset`` does, by the same draws."""
+    del deterministic  # robosuite's signature; episodes are drawn
+    size, noise = len(robot.init_qpos), robot.initialization_noise
+    if noise["type"] == "gaussian":
+        shift = np.random.randn(size)  # noqa: NPY002
+    else:
+        shift = np.random.uniform(-1.0, 1.0, size)  # noqa: NPY002
+    qpos = robot.sim.data.qpos
+    qpos[robot._ref_joint_pos_indexes] = robot.init_qpos + shift * noise["magnitude"]
+    arm = robot.arms[0]
+    if robot.has_gripper[arm]:
+        qpos[robot._ref_gripper_joint_pos_indexes[arm]] = robot.gripper[arm].init_qpos

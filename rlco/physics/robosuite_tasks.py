@@ -1,0 +1,134 @@
+"""robosuite's own tasks by name, built so that their copies are all the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from rlco.errors import RlcoError, UnknownNameError
+from rlco.physics.global_random import seeded
+from rlco.physics.quiet_robosuite import robosuite
+
+PREFIX = "robosuite:"
+# What the environments here decide themselves.
+_FIXED: dict[str, Any] = {
+    "has_renderer": False,
+    "has_offscreen_renderer": False,
+    "use_camera_obs": False,
+    "hard_reset": False,
+    "ignore_done": True,
+    "renderer": "mujoco",
+}
+# robosuite's observations that make up `state`, and `environment_state`.
+STATE = ("robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos")
+ENVIRONMENT_STATE = "object-state"
+_INSTRUCTIONS = {
+    "Door": "open the door",
+    "Lift": "lift the cube",
+    "NutAssembly": "put each nut on its peg",
+    "NutAssemblyRound": "put the round nut on its peg",
+    "NutAssemblySquare": "put the square nut on its peg",
+    "PickPlace": "put each object into its bin",
+    "PickPlaceBread": "put the bread into its bin",
+    "PickPlaceCan": "put the can into its bin",
+    "PickPlaceCereal": "put the cereal into its bin",
+    "PickPlaceMilk": "put the milk into its bin",
+    "Stack": "put the red cube on the green cube",
+}
+_DEFAULTS: dict[str, Any] = {"robots": "Panda"}
+
+
+@dataclass(frozen=True)
+class RobosuiteTask:
+    """What one of robosuite's tasks is, as rlco describes its own.
+
+    Attributes:
+        name: ``robosuite:`` and robosuite's name.
+        instructions: The one instruction.
+        horizon: Length of an episode in control steps, robosuite's 1000 by default.
+        control_frequency: Control steps a second [Hz].
+        state_names: One name a number of `state`: the tool's position [m] and
+            orientation in the world frame, the gripper's joints [m] or [rad].
+        environment_state_names: One name a number of robosuite's ``object-state``.
+        action_names: One name a number of an action, each in [-1, 1].
+    """
+
+    name: str
+    instructions: tuple[str, ...]
+    horizon: int
+    control_frequency: int
+    state_names: tuple[str, ...]
+    environment_state_names: tuple[str, ...]
+    action_names: tuple[str, ...]
+
+    @staticmethod
+    def of(name: str, env: Any) -> RobosuiteTask:
+        """Describe the task of an environment that was reset."""
+        seen = env._get_observations()
+        objects = [
+            name
+            for name, observable in env._observables.items()
+            if name in seen and observable.modality == "object"
+        ]
+        sizes = {key: np.size(value) for key, value in seen.items()}
+        tool = [f"tool.{axis}" for axis in ("x", "y", "z", "qx", "qy", "qz", "qw")]
+        fingers = [f"gripper.{i}" for i in range(sizes[STATE[2]])]
+        arm = env.robots[0].part_controllers[env.robots[0].arms[0]]
+        moves = [f"{arm.name.lower()}.{i}" for i in range(arm.control_dim)]
+        gripper = ["gripper"] * (env.action_dim - arm.control_dim)
+        return RobosuiteTask(
+            name=f"{PREFIX}{name}",
+            instructions=(_INSTRUCTIONS.get(name, f"solve {name}"),),
+            horizon=int(env.horizon),
+            control_frequency=int(env.control_freq),
+            state_names=(*tool, *fingers),
+            environment_state_names=tuple(
+                f"{key}.{i}" for key in objects for i in range(sizes[key])
+            ),
+            action_names=(*moves, *gripper),
+        )
+
+    def description(self) -> dict[str, Any]:
+        """Return what a policy's user must know of it, in types of JSON."""
+        return {
+            "task": self.name,
+            "instructions": list(self.instructions),
+            "control_frequency": self.control_frequency,
+            "state_names": list(self.state_names),
+            "environment_state_names": list(self.environment_state_names),
+            "action_names": list(self.action_names),
+        }
+
+
+def make_plain(name: str, *, seed: int = 0, **options: Any) -> Any:
+    """Return one of robosuite's environments, without cameras.
+
+    Its model is compiled once (``hard_reset=False``), so that every episode has the
+    same objects; robosuite draws their sizes at construction, here from `seed`.
+
+    Args:
+        name: robosuite's name, ``Lift``.
+        seed: Draws the sizes of objects.
+        options: robosuite's own, such as ``robots="Sawyer"``.
+
+    Raises:
+        UnknownNameError: If robosuite has no such environment.
+        RlcoError: If an option is one that is decided here.
+
+    Example:
+        >>> make_plain("Lift", robots="Sawyer").action_dim
+        7
+    """
+    known = sorted(robosuite.ALL_ENVIRONMENTS)
+    if name not in known:
+        raise UnknownNameError("robosuite environment", name, known)
+    for option in options:
+        if option in _FIXED and options[option] != _FIXED[option]:
+            raise RlcoError(
+                f"{option}={options[option]!r} is not allowed for {PREFIX}{name}; "
+                f"leave it out, it is {_FIXED[option]!r}."
+            )
+    with seeded(seed):
+        return robosuite.make(name, **{**_DEFAULTS, **options, **_FIXED})
