@@ -13,8 +13,14 @@ from contextlib import contextmanager
 import numpy as np
 
 
+def seed_all(seed: int) -> None:
+    """Seed the global generators, with a seed in [0, 2**32)."""
+    np.random.seed(seed)  # noqa: NPY002
+    random.seed(seed)
+
+
 @contextmanager
-def seeded(seed: int) -> Iterator[None]:
+def seeded(seed: int = 0) -> Iterator[None]:
     """Seed the global generators for a while, and put them back as they were.
 
     Args:
@@ -28,8 +34,7 @@ def seeded(seed: int) -> Iterator[None]:
         True
     """
     ours, theirs = np.random.get_state(), random.getstate()  # noqa: NPY002
-    np.random.seed(seed)  # noqa: NPY002
-    random.seed(seed)
+    seed_all(seed)
     try:
         yield
     finally:

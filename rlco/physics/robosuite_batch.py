@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rlco.errors import RlcoError, SimulationError
 from rlco.physics.arm_control import Array, read_control, read_gains
 from rlco.physics.copies import Copies
+from rlco.physics.global_random import seeded
 from rlco.physics.native import OnDivergence
 from rlco.physics.native_kernels import (
     advance_range,
@@ -146,19 +147,11 @@ class RobosuiteBatch:
         memory, source = self.copies.memory, self.source
         self.copies.forget(which)
         clear_range(which, memory)
-        for number, seed in zip(which.tolist(), seeds, strict=True):
-            source.look_at(self.data[number])
-            source.place(seed)
-            if source.reset_fields:
-                self.copies.patch_model(
-                    np.array([number]),
-                    {name: getattr(source.model, name) for name in source.reset_fields},
-                    derive=False,
-                )
-            posture = self.data[number].qpos[self.copies.control.arm_qpos]
-            memory.posture[number] = posture
-            memory.grip[number] = 0.0
-            self._caches[number] = {}
+        with seeded():  # whatever the seed, to put the generators back
+            for number, seed in zip(which.tolist(), seeds, strict=True):
+                source.look_at(self.data[number])
+                source.place(seed)
+                self._take_over(number)
         set_first_matrices(which, self.copies.control, memory, self.model.qpos0)
         forward_range(which, memory)
         for number in which.tolist():
@@ -227,6 +220,17 @@ class RobosuiteBatch:
             damping=damping,
             command_delay=command_delay,
         )
+
+    def _take_over(self, number: int) -> None:
+        """Keep what robosuite has just placed as the start of one copy's episode."""
+        source, memory = self.source, self.copies.memory
+        if source.reset_fields:
+            fields = {name: getattr(source.model, name) for name in source.reset_fields}
+            self.copies.patch_model(np.array([number]), fields, derive=False)
+        posture = self.data[number].qpos[self.copies.control.arm_qpos]
+        memory.posture[number] = posture
+        memory.grip[number] = 0.0
+        self._caches[number] = {}
 
     def _settle(
         self,

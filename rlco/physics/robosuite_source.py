@@ -7,7 +7,6 @@ that robosuite's own code says what they are.
 
 from __future__ import annotations
 
-import functools
 from collections.abc import Callable, Sequence
 from typing import Any
 
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 
 from rlco.errors import RlcoError, UnknownNameError
 from rlco.physics.arm_control import refuse_unsupported
-from rlco.physics.global_random import seeded
+from rlco.physics.global_random import seed_all, seeded
 from rlco.physics.model_struct import array_fields
 from rlco.physics.quiet_robosuite import (
     NO_CORRUPTION,
@@ -68,6 +67,7 @@ class RobosuiteSource:
         self.columns: dict[str, NDArray[np.int64]] = {}
         self._choose(observations)
         self._refuse_views()
+        self._robots = [_PlacedRobot(robot) for robot in env.robots]
         _make_reset_cheap(env)
 
     @property
@@ -85,10 +85,16 @@ class RobosuiteSource:
         Positions are set, and nothing that follows from them is computed.
 
         Args:
-            seed: Of the global generators that robosuite draws from.
+            seed: Of the global generators that robosuite draws from; they are left
+                as they are then.
         """
-        with seeded(seed):
+        seed_all(seed)
+        robots = self.env.robots
+        self.env.robots = self._robots
+        try:
             self.env._reset_internal()
+        finally:
+            self.env.robots = robots
 
     def observe(self, cache: Cache) -> Array:
         """Return the observations of the state looked at, one row.
@@ -273,22 +279,39 @@ def _fields_that_change(env: Any) -> tuple[str, ...]:
 
 
 def _make_reset_cheap(env: Any) -> None:
-    """Leave out of a reset what builds names, controllers and buffers again."""
-    env._setup_references = lambda: None
-    for robot in env.robots:
-        robot.reset = functools.partial(_place_robot, robot)
+    """Leave out of a reset what builds names and clears what is not used here."""
+    env._setup_references = _nothing
+    env.sim.get_state = _nothing
+    for observable in env._observables.values():
+        observable.reset = _nothing
 
 
-def _place_robot(robot: Any, deterministic: bool = False) -> None:
-    """Set the first posture as robosuite's ``Robot.reset`` does, by the same draws."""
-    del deterministic  # robosuite's signature; episodes are drawn
-    size, noise = len(robot.init_qpos), robot.initialization_noise
-    if noise["type"] == "gaussian":
-        shift = np.random.randn(size)  # noqa: NPY002
-    else:
-        shift = np.random.uniform(-1.0, 1.0, size)  # noqa: NPY002
-    qpos = robot.sim.data.qpos
-    qpos[robot._ref_joint_pos_indexes] = robot.init_qpos + shift * noise["magnitude"]
-    arm = robot.arms[0]
-    if robot.has_gripper[arm]:
-        qpos[robot._ref_gripper_joint_pos_indexes[arm]] = robot.gripper[arm].init_qpos
+def _nothing() -> None:
+    pass
+
+
+class _PlacedRobot:
+    """A robot whose reset places it, and builds no controllers and buffers again."""
+
+    def __init__(self, robot: Any) -> None:
+        self._robot = robot
+        self.action_dim = robot.action_dim
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._robot, name)
+
+    def reset(self, deterministic: bool = False) -> None:
+        """Set the first posture as robosuite's ``Robot.reset``, by the same draws."""
+        del deterministic  # robosuite's signature; episodes are drawn
+        robot = self._robot
+        size, noise = len(robot.init_qpos), robot.initialization_noise
+        if noise["type"] == "gaussian":
+            shift = np.random.randn(size)  # noqa: NPY002
+        else:
+            shift = np.random.uniform(-1.0, 1.0, size)  # noqa: NPY002
+        shift = shift * noise["magnitude"]
+        qpos, arm = robot.sim.data.qpos, robot.arms[0]
+        qpos[robot._ref_joint_pos_indexes] = robot.init_qpos + shift
+        if robot.has_gripper[arm]:
+            fingers = robot._ref_gripper_joint_pos_indexes[arm]
+            qpos[fingers] = robot.gripper[arm].init_qpos
