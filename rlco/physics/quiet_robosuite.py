@@ -29,6 +29,7 @@ try:
         from robosuite.controllers.parts.gripper.simple_grip import SimpleGripController
         from robosuite.environments.manipulation.manipulation_env import ManipulationEnv
         from robosuite.models.arenas import TableArena
+        from robosuite.models.base import MujocoModel
         from robosuite.models.grippers import (
             BDGripper,
             JacoThreeFingerGripper,
@@ -61,6 +62,7 @@ __all__ = [
     "JointPositionController",
     "ManipulationEnv",
     "ManipulationTask",
+    "MujocoModel",
     "MujocoObject",
     "NullGripper",
     "OperationalSpaceController",

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from rlco.errors import RlcoError, UnknownNameError
 from rlco.physics.arm_control import refuse_unsupported
+from rlco.physics.contact_check import ContactCheck
 from rlco.physics.global_random import seed_all, seeded
 from rlco.physics.model_struct import array_fields
 from rlco.physics.quiet_robosuite import (
@@ -69,6 +70,7 @@ class RobosuiteSource:
         self._refuse_views()
         self._robots = [_PlacedRobot(robot) for robot in env.robots]
         _make_reset_cheap(env)
+        env.check_contact = ContactCheck(env)
 
     @property
     def model(self) -> mujoco.MjModel:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 from robosuite.wrappers import GymWrapper
@@ -224,3 +225,29 @@ def test_wrong_names_and_actions_are_refused() -> None:
     _, batch = pair("Lift", exact=False)
     with pytest.raises(RlcoError, match="actions have 6 numbers; Lift takes 7"):
         batch.step(np.zeros((1, 1, 6)))
+
+
+def test_contacts_are_those_that_robosuite_finds() -> None:
+    plain, batch = pair("NutAssembly", exact=True)
+    env = batch.source.env
+    start(plain, batch, 1)
+    batch.data[0].qpos[:] = plain.sim.data._data.qpos
+    nuts = [nut.contact_geoms for nut in plain.nuts]
+    rng = np.random.default_rng(1)
+    found = []
+    for _ in range(12):
+        # Nuts thrown onto the table, the pegs and each other.
+        for at in (9, 16):
+            batch.data[0].qpos[at : at + 3] = rng.uniform(
+                [0, -0.2, 0.82], [0.3, 0.2, 0.9]
+            )
+        plain.sim.data._data.qpos[:] = batch.data[0].qpos
+        mujoco.mj_forward(batch.model, batch.data[0])
+        plain.sim.forward()
+        groups: list[Any] = [*nuts, "table_collision", plain.robots[0].gripper["right"]]
+        for one in groups:
+            for other in [*groups, None]:
+                expected = plain.check_contact(one, other)
+                assert env.check_contact(one, other) == expected
+                found.append(expected)
+    assert 0 < sum(found) < len(found)
