@@ -290,6 +290,7 @@ def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
             "frames": iteration * collector.frames,
             "return_mean": float(rollout["next", keys.REWARD].sum(1).mean()),
             "success_rollout": float(solved.float().mean()),
+            "diverged": int(rollout["next", keys.DIVERGED].sum()),
         }
         train_policy = iteration > config.critic_iterations
         row |= update(config, learner, rollout, train_policy=train_policy)

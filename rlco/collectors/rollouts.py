@@ -82,16 +82,24 @@ class RolloutCollector:
         """Return the rollout of one iteration, shape (N, T) decisions.
 
         Beside what environment and policy wrote it holds `advantage`,
-        `value_target` and `state_value`, each (N, T, 1).
+        `value_target` and `state_value`, each (N, T, 1). Decisions in which the
+        simulation diverged have advantage 0 and their own value as target.
         """
         self.env.start_at(iteration)
         with set_exploration_type(ExplorationType.RANDOM):
             rollout = next(self._batches)
         with torch.no_grad():
             rollout = self._gae(rollout)
+        # What a broken simulation did says nothing of the policy, nor of the critic.
+        broken = rollout["next", keys.DIVERGED]
         advantage = rollout[keys.ADVANTAGE]
-        scaled = (advantage - advantage.mean()) / (advantage.std() + 1e-5)
-        return rollout.set(keys.ADVANTAGE, scaled)
+        value = torch.where(
+            broken, rollout[keys.STATE_VALUE], rollout[keys.VALUE_TARGET]
+        )
+        rollout.set(keys.VALUE_TARGET, value)
+        sound = advantage[~broken]
+        scaled = (advantage - sound.mean()) / (sound.std() + 1e-5)
+        return rollout.set(keys.ADVANTAGE, scaled.masked_fill(broken, 0.0))
 
     def close(self) -> None:
         """Free the collector."""

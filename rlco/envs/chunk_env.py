@@ -186,11 +186,10 @@ class ChunkEnv(EnvBase):
     ) -> TensorDict:
         (n,) = self.batch_size
         cut = torch.from_numpy(truncated).unsqueeze(-1)
-        texts = [self.task.instructions[i] for i in self._instruction_id.tolist()]
         return TensorDict(
             {
                 keys.OBSERVATION: TensorDict(self._seen(), batch_size=[n]),
-                keys.INSTRUCTION: NonTensorStack(*map(NonTensorData, texts)),
+                keys.INSTRUCTION: self._texts(),
                 keys.INSTRUCTION_ID: torch.from_numpy(self._instruction_id.copy()),
                 keys.SUCCESS: torch.from_numpy(self._solved()).unsqueeze(-1),
                 keys.DIVERGED: torch.from_numpy(diverged.copy()).unsqueeze(-1),
@@ -200,6 +199,11 @@ class ChunkEnv(EnvBase):
             },
             batch_size=[n],
         )
+
+    def _texts(self) -> NonTensorStack:
+        chosen = [self.task.instructions[i] for i in self._instruction_id.tolist()]
+        # With a device: partial resets do not merge texts that have one with others.
+        return NonTensorStack(*(NonTensorData(t, device=self.device) for t in chosen))
 
     def _report(self, diverged: NDArray[np.bool_]) -> None:
         broken = np.flatnonzero(diverged).tolist()

@@ -232,7 +232,7 @@ def test_both_backends_report_the_same(domain: str) -> None:
         ({"domain": "stand_inn"}, "unknown domain .*did you mean 'stand_in'"),
         ({"backend": "nativ"}, "unknown backend 'nativ' .*did you mean 'native'"),
         ({"reward": "spare"}, "unknown reward 'spare' .*did you mean 'sparse'"),
-        ({"variation": "far"}, "unknown variation 'far'; known: none"),
+        ({"variation": "far"}, "unknown variation 'far'; known: shapes, colours"),
         ({"num_envs": 0}, "num_envs=0 is not allowed; give 1 or more"),
         ({"chunk": 0}, "chunk=0 is not allowed; give 1 or more"),
         ({"horizon": -3}, "horizon=-3 is not allowed; give 1 or more"),

@@ -58,7 +58,7 @@ def test_both_backends_play_the_same_episodes(reward: Any) -> None:
     for key in native.keys(include_nested=True, leaves_only=True):
         if key != "language_instruction":
             torch.testing.assert_close(native[key], slow[key], atol=1e-6, rtol=0)
-    assert native["language_instruction"][0] == "lift the cube"
+    assert native["language_instruction"][0][0] == "lift the cube"
     assert native["truncated"].squeeze(-1).tolist() == [[False, True]] * 2
     assert bool((native["reward"] > 0).all()) == (reward == "shaped")
 
