@@ -111,14 +111,14 @@ def make_plain(name: str, *, seed: int = 0, **options: Any) -> Any:
     Args:
         name: robosuite's name, ``Lift``.
         seed: Draws the sizes of objects.
-        options: robosuite's own, such as ``robots="Sawyer"``.
+        options: robosuite's own, such as ``robots="UR5e"``.
 
     Raises:
         UnknownNameError: If robosuite has no such environment.
         RlcoError: If an option is one that is decided here.
 
     Example:
-        >>> make_plain("Lift", robots="Sawyer").action_dim
+        >>> make_plain("Lift", robots="UR5e").action_dim
         7
     """
     known = sorted(robosuite.ALL_ENVIRONMENTS)
