@@ -1,7 +1,7 @@
 """What robosuite's controllers of one arm and its gripper compute, read as numbers.
 
 `read_control` takes them from a robosuite environment and refuses, by name, whatever
-the compiled loops of `rlco.physics.native_kernels` do not compute.
+the compiled loops of `rlco.physics.arm_kernels` do not compute.
 """
 
 from __future__ import annotations

@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from rlco.errors import RlcoError, UnknownNameError
 from rlco.physics.arm_control import Array, Control, Integers
+from rlco.physics.arm_kernels import FIELDS, Memory
 from rlco.physics.libmujoco import address_of
 from rlco.physics.model_struct import ModelCopy, array_fields, reserve_memory
-from rlco.physics.native_kernels import FIELDS, Memory
 
 RESERVED = 16 << 20  # for each copy's contacts, as address space [bytes]
 

@@ -19,6 +19,7 @@ from rlco.physics.arm_control import refuse_unsupported
 from rlco.physics.contact_check import ContactCheck
 from rlco.physics.global_random import seed_all, seeded
 from rlco.physics.model_struct import array_fields
+from rlco.physics.placed_robot import PlacedRobot, make_reset_cheap
 from rlco.physics.quiet_robosuite import (
     NO_CORRUPTION,
     NO_DELAY,
@@ -68,8 +69,8 @@ class RobosuiteSource:
         self.columns: dict[str, NDArray[np.int64]] = {}
         self._choose(observations)
         self._refuse_views()
-        self._robots = [_PlacedRobot(robot) for robot in env.robots]
-        _make_reset_cheap(env)
+        self._robots = [PlacedRobot(robot) for robot in env.robots]
+        make_reset_cheap(env)
         env.check_contact = ContactCheck(env)
 
     @property
@@ -278,42 +279,3 @@ def _fields_that_change(env: Any) -> tuple[str, ...]:
         for name, one, other in zip(names, *seen, strict=True)
         if not np.array_equal(one, other)
     )
-
-
-def _make_reset_cheap(env: Any) -> None:
-    """Leave out of a reset what builds names and clears what is not used here."""
-    env._setup_references = _nothing
-    env.sim.get_state = _nothing
-    for observable in env._observables.values():
-        observable.reset = _nothing
-
-
-def _nothing() -> None:
-    pass
-
-
-class _PlacedRobot:
-    """A robot whose reset places it, and builds no controllers and buffers again."""
-
-    def __init__(self, robot: Any) -> None:
-        self._robot = robot
-        self.action_dim = robot.action_dim
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._robot, name)
-
-    def reset(self, deterministic: bool = False) -> None:
-        """Set the first posture as robosuite's ``Robot.reset``, by the same draws."""
-        del deterministic  # robosuite's signature; episodes are drawn
-        robot = self._robot
-        size, noise = len(robot.init_qpos), robot.initialization_noise
-        if noise["type"] == "gaussian":
-            shift = np.random.randn(size)  # noqa: NPY002
-        else:
-            shift = np.random.uniform(-1.0, 1.0, size)  # noqa: NPY002
-        shift = shift * noise["magnitude"]
-        qpos, arm = robot.sim.data.qpos, robot.arms[0]
-        qpos[robot._ref_joint_pos_indexes] = robot.init_qpos + shift
-        if robot.has_gripper[arm]:
-            fingers = robot._ref_gripper_joint_pos_indexes[arm]
-            qpos[fingers] = robot.gripper[arm].init_qpos

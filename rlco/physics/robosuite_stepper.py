@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlco.errors import SimulationError
+from rlco.physics.arm_kernels import TOO_LARGE
 from rlco.physics.domain import Domain
 from rlco.physics.native import OnDivergence
-from rlco.physics.native_kernels import TOO_LARGE
 from rlco.physics.task import Array, InitialState, SceneState, Task, check_actions
 
 
