@@ -40,11 +40,12 @@ def main(config: Config) -> None:
     """Evaluate, film, and write results.json."""
     from rlco.evaluation import EVALUATION_SEED, evaluate, evaluation_env, record_video
     from rlco.physics.camera import check_rendering
-    from rlco.policies import load_policy
+    from rlco.physics.task import make_task
+    from rlco.policies import load_task_policy
 
     if config.videos:
         check_rendering()
-    policy, _ = load_policy(config.policy)
+    policy = load_task_policy(config.policy, make_task(config.task))
     env = evaluation_env(
         config.task,
         config.domain,
@@ -63,6 +64,7 @@ def main(config: Config) -> None:
             config.domain,
             config.seed,
             task=config.task,
+            policy=policy.kind,
             variation=config.variation,
         )
         run.save_results([row])

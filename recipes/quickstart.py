@@ -14,7 +14,7 @@ import logging
 import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import record_demos
 import rl_co
@@ -47,6 +47,9 @@ class Config(RunOptions):
     iterations: int = option(50, "rollouts of Stage II", minimum=1)
     num_envs: int = option(128, "episodes of a rollout", minimum=1)
     real_coeff: float = option(0.2, "beta of Stage II", minimum=0)
+    advantage: Literal["gae", "mc"] = option(
+        "gae", "by a critic, or by returns within groups that start alike"
+    )
     eval_every: int = option(25, "rollouts between evaluations", minimum=1)
     curve_episodes: int = option(64, "episodes of each point of a curve", minimum=1)
     eval_episodes: int = option(128, "episodes of the comparison", minimum=1)
@@ -99,6 +102,7 @@ def train(config: Config, run: Run, demos: dict[str, str]) -> dict[str, Any]:
                 seed=config.seed,
                 threads=config.threads,
                 task=config.task,
+                policy=config.policy,
                 sim_demos=demos["sim"],
                 real_demos=demos["real"],
                 sim_ratio=0.0 if method == "real_only" else config.sim_ratio,
@@ -120,6 +124,7 @@ def train(config: Config, run: Run, demos: dict[str, str]) -> dict[str, Any]:
                 real_coeff=0.0 if method == "rl_only" else config.real_coeff,
                 iterations=config.iterations,
                 num_envs=config.num_envs,
+                advantage=config.advantage,
                 eval_every=config.eval_every,
                 eval_episodes=config.curve_episodes,
             )
@@ -147,7 +152,10 @@ def compare(config: Config, policies: dict[str, Any]) -> list[Any]:
         for method, policy in policies.items():
             result = evaluate(policy, env, config.eval_episodes)
             log.info("%-9s in %-8s: %s", method, domain, result)
-            rows.append(result.row(method, domain, config.seed, task=config.task))
+            row = result.row(
+                method, domain, config.seed, task=config.task, policy=policy.kind
+            )
+            rows.append(row)
     return rows
 
 

@@ -16,21 +16,10 @@ from typing import Any, Literal
 
 from rlco import keys
 from rlco.config import REQUIRED, RunOptions, option
-from rlco.errors import CheckpointError, ConfigError
+from rlco.errors import ConfigError
 from rlco.run import Run, run_recipe
 
 log = logging.getLogger("rlco.rl_co")
-
-# What the loss reads of a rollout; text and raw actions stay behind.
-KEPT = (
-    keys.STATE,
-    keys.ENVIRONMENT_STATE,
-    keys.INSTRUCTION_ID,
-    keys.SAMPLE,
-    keys.ADVANTAGE,
-    keys.VALUE_TARGET,
-    keys.STATE_VALUE,
-)
 
 
 @dataclass
@@ -61,13 +50,20 @@ class Config(RunOptions):
     minibatch: int = option(512, "simulated decisions of a minibatch", minimum=1)
     real_rows: int = option(128, "real rows of a minibatch", minimum=1)
     lr: float = option(2e-4, "learning rate of the policy")
-    critic_lr: float = option(1e-3, "learning rate of the critic")
-    critic_iterations: int = option(
-        3, "first rollouts that train the critic alone", minimum=0
-    )
     clip: float = option(0.2, "PPO's clip of the ratio", minimum=0)
-    gamma: float = option(0.9, "discount a decision", minimum=0, maximum=1)
+    advantage: Literal["gae", "mc"] = option(
+        "gae", "by a critic, or by returns within groups that start alike"
+    )
+    group_size: int = option(8, "mc: episodes of a group", minimum=2)
+    gamma: float = option(0.9, "gae: discount a decision", minimum=0, maximum=1)
     lmbda: float = option(0.95, "GAE's lambda", minimum=0, maximum=1)
+    critic_hidden: list[int] = option(
+        [256, 256], "gae: width of each hidden layer of the critic", minimum=1
+    )
+    critic_lr: float = option(1e-3, "gae: learning rate of the critic")
+    critic_iterations: int = option(
+        3, "gae: first rollouts that train the critic alone", minimum=0
+    )
     max_grad_norm: float = option(1.0, "clip of the gradient's norm")
     eval_every: int = option(10, "rollouts between evaluations", minimum=1)
     eval_episodes: int = option(64, "episodes of an evaluation; 0: none", minimum=0)
@@ -78,33 +74,26 @@ def load(config: Config) -> tuple[Any, dict[str, Any]]:
     """Load the policy and the demonstrations, and check that they fit the task."""
     from rlco.data import load_task_demos
     from rlco.physics.domain import make_domain
-    from rlco.physics.observation import STATE_NAMES
     from rlco.physics.task import make_task
-    from rlco.policies import load_policy
+    from rlco.policies import load_task_policy
 
     task = make_task(config.task)
     for domain in config.eval_domains:
         make_domain(domain)
-    policy, extra = load_policy(config.policy)
-    sizes = {
-        "state_size": len(STATE_NAMES),
-        "environment_state_size": len(task.environment_state_names),
-        "num_instructions": len(task.instructions),
-    }
-    for name, size in sizes.items():
-        if policy.arguments[name] != size:
-            raise CheckpointError(
-                f"policy {config.policy!r} was trained on {extra.get('task')!r} with "
-                f"{name}={policy.arguments[name]}, but {task.name!r} has {size}; give "
-                "the policy's own task=, or a policy of this task."
-            )
-    if config.real_coeff > 0 and config.real_demos is None:
-        raise ConfigError(
-            [
-                f"real_coeff={config.real_coeff} needs real_demos=FOLDER; "
-                "real_coeff=0 is reinforcement learning alone"
-            ]
+    policy = load_task_policy(config.policy, task)
+    problems = []
+    if config.advantage == "mc" and config.num_envs % config.group_size:
+        problems.append(
+            f"num_envs={config.num_envs} is no multiple of "
+            f"group_size={config.group_size}"
         )
+    if config.real_coeff > 0 and config.real_demos is None:
+        problems.append(
+            f"real_coeff={config.real_coeff} needs real_demos=FOLDER; "
+            "real_coeff=0 is reinforcement learning alone"
+        )
+    if problems:
+        raise ConfigError(problems)
     demos = {}
     for name in ("real_demos", "heldout_demos"):
         path = getattr(config, name)
@@ -117,7 +106,7 @@ def load(config: Config) -> tuple[Any, dict[str, Any]]:
 
 @dataclass
 class Learner:
-    """What is trained, and what trains it."""
+    """What is trained, and what trains it; without a critic two of them are None."""
 
     policy: Any
     critic: Any
@@ -129,7 +118,23 @@ class Learner:
     def modules(self) -> dict[str, Any]:
         """Everything that a checkpoint holds by its state dict."""
         names = ("policy", "critic", "actor_optimizer", "critic_optimizer")
-        return {name: getattr(self, name) for name in names}
+        found = {name: getattr(self, name) for name in names}
+        return {name: module for name, module in found.items() if module is not None}
+
+    def step(self, config: Config, out: Any, *, train_policy: bool) -> None:
+        """Follow the gradient of a loss's terms once."""
+        from torch.nn.utils import clip_grad_norm_
+
+        self.actor_optimizer.zero_grad()
+        if self.critic is not None:
+            self.critic_optimizer.zero_grad()
+        sum(v for k, v in out.items() if k.startswith("loss_")).backward()
+        if self.critic is not None:
+            clip_grad_norm_(self.critic.parameters(), 10.0)
+            self.critic_optimizer.step()
+        if train_policy:
+            clip_grad_norm_(self.policy.parameters(), config.max_grad_norm)
+            self.actor_optimizer.step()
 
     def state(self) -> dict[str, Any]:
         """Return what a checkpoint holds."""
@@ -154,14 +159,14 @@ def make_learner(
 
     from rlco.data import SimRealReplayBuffer
     from rlco.losses import CoTrainingLoss, ImitationLoss
-    from rlco.policies import ValueNetwork
+    from rlco.physics.task import make_task
+    from rlco.policies import ValueNetwork, task_sizes
 
-    sizes = {
-        name: policy.arguments[name]
-        for name in ("environment_state_size", "num_instructions", "hidden")
-    }
-    critic = ValueNetwork(policy.arguments["state_size"], **sizes)
-    critic.encoder.load_state_dict(policy.encoder.state_dict())  # its normalisation
+    critic = None
+    if config.advantage == "gae":
+        sizes = task_sizes(make_task(config.task))
+        critic = ValueNetwork(hidden=config.critic_hidden, **sizes)
+        critic.encoder.load_state_dict(policy.encoder.state_dict())  # normalises alike
     anchored = config.real_coeff > 0
     batch_size = config.minibatch + (config.real_rows if anchored else 0)
     buffer = SimRealReplayBuffer(
@@ -175,7 +180,7 @@ def make_learner(
         critic,
         clip_epsilon=config.clip,
         entropy_bonus=False,
-        critic_coeff=1.0,
+        critic_coeff=1.0 if critic is not None else None,
         loss_critic_type="l2",
     )
     anchor = ImitationLoss(policy) if anchored else None
@@ -185,7 +190,7 @@ def make_learner(
         CoTrainingLoss(ppo, anchor, real_coeff=config.real_coeff),
         buffer,
         torch.optim.Adam(policy.parameters(), lr=config.lr),
-        torch.optim.Adam(critic.parameters(), lr=config.critic_lr),
+        torch.optim.Adam(critic.parameters(), lr=config.critic_lr) if critic else None,
     )
 
 
@@ -193,66 +198,41 @@ def update(
     config: Config, learner: Learner, rollout: Any, *, train_policy: bool
 ) -> dict[str, float]:
     """Pass over a rollout, each minibatch with fresh real rows; return the means."""
-    from torch.nn.utils import clip_grad_norm_
-
     from rlco.losses import gradient_agreement, log_probs
 
-    flat = rollout.select(*KEPT).reshape(-1)
+    policy, loss = learner.policy, learner.loss
+    kept = [*policy.in_keys, *policy.replay_keys, keys.LOG_PROB, keys.ADVANTAGE]
+    if learner.critic is not None:
+        kept += [keys.VALUE_TARGET, keys.STATE_VALUE]
+    # Text and raw actions stay behind.
+    flat = rollout.select(*kept).reshape(-1)
     # The old log-probability by the learner itself: the first ratio is 1.
-    flat.set(keys.LOG_PROB, log_probs(learner.policy, flat, rows=config.minibatch))
+    computed = log_probs(policy, flat, rows=config.minibatch)
+    row = {"log_prob_gap": float((computed - flat[keys.LOG_PROB]).abs().max())}
+    flat.set(keys.LOG_PROB, computed)
     learner.buffer.empty()
     learner.buffer.extend(flat)
-    row: dict[str, float] = {}
     sums: dict[str, float] = {}
     minibatches = 0
     for _ in range(config.epochs):
         for batch in learner.buffer:
             if minibatches == 0 and config.real_coeff > 0:
-                row |= gradient_agreement(learner.loss, batch)
-            out = learner.loss(batch)
+                row |= gradient_agreement(loss, batch)
+            out = loss(batch)
             if minibatches == 0:
                 row["first_ratio"] = float(out["max_ratio"])
-            learner.actor_optimizer.zero_grad()
-            learner.critic_optimizer.zero_grad()
-            sum(v for k, v in out.items() if k.startswith("loss_")).backward()
-            clip_grad_norm_(learner.critic.parameters(), 10.0)
-            learner.critic_optimizer.step()
-            if train_policy:
-                clip_grad_norm_(learner.policy.parameters(), config.max_grad_norm)
-                learner.actor_optimizer.step()
+            learner.step(config, out, train_policy=train_policy)
             minibatches += 1
             for name, value in out.items():
                 sums[name] = sums.get(name, 0.0) + float(value.detach())
     return row | {name: total / minibatches for name, total in sums.items()}
 
 
-def measure(config: Config, policy: Any, places: dict[str, Any]) -> dict[str, float]:
-    """Return success in each place, always from the same initial states."""
-    from rlco.evaluation import evaluate
-
-    return {
-        f"success_{domain}": evaluate(policy, env, config.eval_episodes).rate
-        for domain, env in places.items()
-    }
-
-
-def forgetting(policy: Any, demos: dict[str, Any]) -> dict[str, float]:
-    """Return the imitation loss on demonstrations that nothing was trained on."""
-    import torch
-
-    if "heldout_demos" not in demos:
-        return {}
-    frames = demos["heldout_demos"].frames()
-    with torch.no_grad():
-        steps = policy.imitation_loss(frames)
-    return {"imitation_error_heldout": float(steps[~frames[keys.IS_PAD]].mean())}
-
-
 def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
     """Train, and save the policy to the run's folder ``policy``."""
-    from rlco.collectors import RolloutCollector
+    from rlco.collectors import RolloutCollector, check_signal
     from rlco.envs import make_env
-    from rlco.evaluation import evaluation_env
+    from rlco.evaluation import evaluation_env, imitation_error, success_rates
     from rlco.policies import save_policy
 
     env = make_env(
@@ -273,18 +253,37 @@ def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
     decisions = config.num_envs * -(-env.horizon // env.chunk)
     learner = make_learner(config, policy, demos, decisions)
     collector = RolloutCollector(
-        env, policy, learner.critic, gamma=config.gamma, lmbda=config.lmbda
+        env,
+        policy,
+        learner.critic,
+        gamma=config.gamma,
+        lmbda=config.lmbda,
+        advantage=config.advantage,
+        group_size=config.group_size,
     )
     if (saved := run.load_checkpoint()) is not None:
         learner.load(saved)
-    if run.step is None:
-        before = measure(config, policy, places) | forgetting(policy, demos)
-        run.log_metrics(0, {"frames": 0, **before})
 
+    def measured(iteration: int) -> dict[str, float]:
+        rates = success_rates(policy, places, config.eval_episodes)
+        for name, rate in rates.items():
+            log.info("rollout %d, %s: %.1f %%", iteration, name, 100 * rate)
+        return rates
+
+    def forgetting() -> dict[str, float]:
+        if "heldout_demos" not in demos:
+            return {}
+        error = imitation_error(policy, demos["heldout_demos"].frames())
+        return {"imitation_error_heldout": error}
+
+    if run.step is None:
+        run.log_metrics(0, {"frames": 0, **measured(0), **forgetting()})
     for iteration in run.iterations(config.iterations):
         started = time.perf_counter()
         rollout = collector.collect(iteration)
         collected = time.perf_counter()
+        if iteration == 1:
+            check_signal(rollout)
         solved = rollout["next", keys.SUCCESS][:, -1]
         row = {
             "frames": iteration * collector.frames,
@@ -292,12 +291,12 @@ def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
             "success_rollout": float(solved.float().mean()),
             "diverged": int(rollout["next", keys.DIVERGED].sum()),
         }
-        train_policy = iteration > config.critic_iterations
-        row |= update(config, learner, rollout, train_policy=train_policy)
-        row |= forgetting(policy, demos)
+        alone = config.critic_iterations if learner.critic is not None else 0
+        row |= update(config, learner, rollout, train_policy=iteration > alone)
+        row |= forgetting()
         learned = time.perf_counter()
         if iteration % config.eval_every == 0 or iteration == config.iterations:
-            row |= measure(config, policy, places)
+            row |= measured(iteration)
         run.log_metrics(iteration, row)
         run.log_timings(
             iteration,
@@ -327,26 +326,21 @@ def main(config: Config) -> None:
     method = "rl_co" if config.real_coeff > 0 else "rl_only"
     with Run(config, "rl_co") as run:
         train(config, run, policy, demos)
-        results = []
-        for row in read_metrics(run.path / "metrics.csv"):
-            for domain in config.eval_domains:
-                rate = row.get(f"success_{domain}")
-                if rate is None:
-                    continue
-                log.info("rollout %d in %s: %.1f %%", row["step"], domain, 100 * rate)
-                if row["step"] == config.iterations:
-                    results.append(
-                        ResultRow(
-                            method=method,
-                            task=config.task,
-                            policy=policy.kind,
-                            domain=domain,
-                            variation=None,
-                            seed=config.seed,
-                            episodes=config.eval_episodes,
-                            successes=round(rate * config.eval_episodes),
-                        )
-                    )
+        last = read_metrics(run.path / "metrics.csv")[-1]
+        episodes = config.eval_episodes
+        results = [
+            ResultRow(
+                method=method,
+                task=config.task,
+                policy=policy.kind,
+                domain=domain,
+                variation=None,
+                seed=config.seed,
+                episodes=episodes,
+                successes=round(last[f"success_{domain}"] * episodes),
+            )
+            for domain in (config.eval_domains if episodes else [])
+        ]
         run.save_results(results)
         log.info("policy: %s", run.path / "policy")
 

@@ -10,7 +10,7 @@ simulated samples (RL-Co, arXiv 2602.12628, Stage I).
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, Literal
 
 from rlco.config import RunOptions, option
@@ -19,9 +19,62 @@ from rlco.run import Run, run_recipe
 
 if TYPE_CHECKING:
     from rlco.data import DemoReplayBuffer
-    from rlco.policies import GaussianPolicy
+    from rlco.policies import ChunkPolicy
 
 log = logging.getLogger("rlco.sft")
+
+
+@dataclass
+class GaussianOptions:
+    """Options of policy=gaussian."""
+
+    std: float = option(0.2, "exploration, in units of the normalised action")
+    imitation: Literal["nll", "mse"] = option("nll", "imitation loss of a step")
+
+
+@dataclass
+class TokenOptions:
+    """Options of policy=token."""
+
+    width: int = option(64, "features of a position of the transformer", minimum=1)
+    layers: int = option(2, "blocks of the transformer", minimum=1)
+    heads: int = option(4, "attention heads; they divide the width", minimum=1)
+    bins: int = option(256, "tokens an action number", minimum=2)
+    bin_range: float = option(
+        1.0, "outermost edges of the bins, in units of the normalised action"
+    )
+    temperature: float = option(1.0, "logits are divided by it")
+    label_std: float = option(
+        0.1, "blur of the labels, in units of the normalised action", minimum=0
+    )
+    log_prob_level: Literal["chunk", "action", "token"] = option(
+        "chunk", "what one ratio of PPO covers"
+    )
+
+
+@dataclass
+class FlowOptions:
+    """Options of policy=flow."""
+
+    steps: int = option(4, "denoising steps", minimum=1)
+    method: Literal["flow_noise", "flow_sde", "fpo"] = option(
+        "flow_noise", "what stands for the log-probability"
+    )
+    noisy_steps: Literal["all", "one"] = option("all", "denoising steps with noise")
+    noise_range: list[float] = option(
+        [0.08, 0.16], "flow_noise: least and greatest standard deviation of a step"
+    )
+    noise_level: float = option(0.5, "flow_sde: size of the noise")
+    denoise_reduction: Literal["mean", "sum"] = option(
+        "mean", "of a chain's log-probabilities"
+    )
+    log_prob_level: Literal["chunk", "action", "token"] = option(
+        "chunk", "what one ratio of PPO covers"
+    )
+    imitation_draws: int = option(1, "times and noises a row", minimum=1)
+    padded_size: int | None = option(
+        None, "numbers that RLinf's mean would run over; null: the real ones"
+    )
 
 
 @dataclass
@@ -36,11 +89,12 @@ class Config(RunOptions):
         "", "features of real_demos with other names: THEIRS:OURS,THEIRS:OURS"
     )
     sim_ratio: float = option(0.5, "alpha, the share of sim", minimum=0, maximum=1)
-    policy: Literal["gaussian"] = option("gaussian", "kind of policy")
+    policy: Literal["gaussian", "token", "flow"] = option("gaussian", "kind of policy")
     chunk: int = option(4, "control steps of an action chunk", minimum=1)
     hidden: list[int] = option([256, 256], "width of each hidden layer", minimum=1)
-    std: float = option(0.2, "exploration, in units of the normalised action")
-    imitation: Literal["nll", "mse"] = option("nll", "imitation loss of a step")
+    gaussian: GaussianOptions = field(default_factory=GaussianOptions)
+    token: TokenOptions = field(default_factory=TokenOptions)
+    flow: FlowOptions = field(default_factory=FlowOptions)
     updates: int = option(1500, "optimiser steps", minimum=1)
     log_every: int = option(100, "updates between rows of metrics.csv", minimum=1)
     batch_size: int = option(256, "rows of a batch, both kinds together", minimum=1)
@@ -67,6 +121,7 @@ def load(config: Config) -> dict[str, DemoReplayBuffer | None]:
     ]
     if problems:
         raise ConfigError(problems)
+    new_policy(config)  # what is wrong with its options shows here
     rename = {"sim_demos": "", "real_demos": config.rename}
     return {
         name: load_task_demos(
@@ -78,26 +133,29 @@ def load(config: Config) -> dict[str, DemoReplayBuffer | None]:
     }
 
 
-def build_policy(config: Config, sets: list[Any]) -> GaussianPolicy:
+def new_policy(config: Config) -> ChunkPolicy:
+    """Return a new policy of the kind and the size that the options give."""
+    from rlco.physics.observation import ACTION_NAMES
+    from rlco.physics.task import make_task
+    from rlco.policies import make_policy, task_sizes
+
+    policy: ChunkPolicy = make_policy(
+        config.policy,
+        chunk=config.chunk,
+        action_size=len(ACTION_NAMES),
+        hidden=list(config.hidden),
+        **task_sizes(make_task(config.task)),
+        **asdict(getattr(config, config.policy)),
+    )
+    return policy
+
+
+def build_policy(config: Config, sets: list[Any]) -> ChunkPolicy:
     """Return a new policy, its normalisation fixed by the demonstrations."""
     from rlco import keys
     from rlco.data import exact_quantiles
-    from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
-    from rlco.physics.task import make_task
-    from rlco.policies import make_policy
 
-    task = make_task(config.task)
-    policy = make_policy(
-        config.policy,
-        state_size=len(STATE_NAMES),
-        chunk=config.chunk,
-        action_size=len(ACTION_NAMES),
-        environment_state_size=len(task.environment_state_names),
-        num_instructions=len(task.instructions),
-        hidden=list(config.hidden),
-        std=config.std,
-        imitation=config.imitation,
-    )
+    policy = new_policy(config)
     frames = [demos.frames() for demos in sets]
 
     def quantiles(key: Any) -> Any:
@@ -111,7 +169,7 @@ def build_policy(config: Config, sets: list[Any]) -> GaussianPolicy:
     return policy
 
 
-def train(config: Config, run: Run, demos: dict[str, Any]) -> GaussianPolicy:
+def train(config: Config, run: Run, demos: dict[str, Any]) -> ChunkPolicy:
     """Train, evaluate, and save the policy to the run's folder ``policy``."""
     import torch
 
@@ -185,7 +243,10 @@ def main(config: Config) -> None:
             )
             result = evaluate(policy, env, config.eval_episodes)
             log.info("%s in %s: %s", method, domain, result)
-            rows.append(result.row(method, domain, config.seed, task=config.task))
+            row = result.row(
+                method, domain, config.seed, task=config.task, policy=policy.kind
+            )
+            rows.append(row)
         run.save_results(rows)
         log.info("policy: %s", run.path / "policy")
 

@@ -85,3 +85,20 @@ class SimulationError(RlcoError):
             f"the simulation of {task!r} diverged (NaN) in environments "
             f"{list(environments)}; check the model's masses, gains and time step."
         )
+
+
+class NoSignalError(RlcoError):
+    """A rollout from which reinforcement learning can learn nothing."""
+
+    def __init__(self, solved: int, episodes: int) -> None:
+        advice = (
+            "train Stage I longer or on more demonstrations until it solves some, or "
+            "use reward=shaped"
+            if solved < episodes
+            else "the policy needs no more of it: evaluate it"
+        )
+        super().__init__(
+            f"nothing can be learnt from this rollout: {solved} of {episodes} episodes "
+            f"were solved and all have the same return, so no action is better than "
+            f"another; {advice}."
+        )

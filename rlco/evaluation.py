@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rlco import keys
@@ -44,7 +46,7 @@ class Evaluation:
         seed: int,
         *,
         task: str,
-        policy: str = "gaussian",
+        policy: str,
         variation: str | None = None,
     ) -> ResultRow:
         """Return this evaluation as a row of results.json."""
@@ -97,6 +99,28 @@ def evaluate(policy: Any, env: ChunkEnv, episodes: int) -> Evaluation:
     return Evaluation(
         np.concatenate(success)[:episodes], np.concatenate(seconds)[:episodes]
     )
+
+
+def success_rates(
+    policy: Any, places: Mapping[str, ChunkEnv], episodes: int
+) -> dict[str, float]:
+    """Return ``success_<domain>`` of a policy in each domain's environment."""
+    return {
+        f"success_{domain}": evaluate(policy, env, episodes).rate
+        for domain, env in places.items()
+    }
+
+
+def imitation_error(policy: Any, frames: TensorDictBase) -> float:
+    """Return the mean imitation loss a step on demonstrations, padding left out.
+
+    Args:
+        policy: Offers ``imitation_loss``.
+        frames: Observations, chunks and ``action_is_pad``, batch size (B,).
+    """
+    with torch.no_grad():
+        steps = policy.imitation_loss(frames)
+    return float(steps[~frames[keys.IS_PAD]].mean())
 
 
 def evaluation_env(

@@ -32,10 +32,16 @@ ACTION = "action"
 #: The demonstrated (or executed) action chunk, raw units, float32 [*B, H, A].
 CHUNK = ("vla_action", "chunk")
 #: The policy's own sample whose log-probability PPO recomputes; its shape and
-#: units belong to the policy (Gaussian: normalised chunk [*B, H, A]).
+#: units belong to the policy. Gaussian: normalised chunk [*B, H, A]; token: int64
+#: [*B, H, A]; flow: the denoising chain [*B, K + 1, H, A], noise first.
 SAMPLE = ("vla_action", "sample")
 #: Log-probability of one decision's sample in the normalised action space, [*B].
 LOG_PROB = ("vla_action", "log_probs")
+#: Flow, one noisy step a decision: its index, int64 [*B].
+DENOISE_STEP = ("vla_action", "denoise_step")
+#: Flow, FPO: the times [*B, D] and noises [*B, D, H, A] at which losses are compared.
+FLOW_TIME = ("vla_action", "flow_time")
+FLOW_NOISE = ("vla_action", "flow_noise")
 #: True where a chunk reaches past its episode's end, bool [*B, H]. Padded steps
 #: repeat the last action and count in no loss.
 IS_PAD = "action_is_pad"

@@ -110,10 +110,10 @@ def test_a_row_and_a_line_of_an_evaluation() -> None:
     success = np.arange(20) < 17
     result = Evaluation(success, np.where(success, 2.5, np.nan))
     assert result.rate == pytest.approx(0.85)
-    assert result.row("sft", "stand_in", 3, task="push_cube") == {
+    assert result.row("sft", "stand_in", 3, task="push_cube", policy="token") == {
         "method": "sft",
         "task": "push_cube",
-        "policy": "gaussian",
+        "policy": "token",
         "domain": "stand_in",
         "variation": None,
         "seed": 3,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, get_args
 
 import torch
 from tensordict import TensorDictBase
@@ -13,16 +13,23 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives.value import GAE
 
 from rlco import keys
+from rlco.collectors.advantages import Advantage, group_advantages, normalize
 from rlco.envs.chunk_env import ChunkEnv
+from rlco.errors import ConfigError
 
 
 class RolloutCollector:
     """Collects one episode of every environment, and estimates its advantages.
 
-    TorchRL's `Collector` steps; then GAE (Schulman et al., arXiv 1506.02438) runs
-    over the whole rollout under ``no_grad``: gamma and lambda count decisions, an
-    episode that was truncated bootstraps from its last observation's value, a
-    terminated one does not. Advantages are normalised over the whole rollout.
+    TorchRL's `Collector` steps. With ``advantage="gae"``, GAE (Schulman et al.,
+    arXiv 1506.02438) then runs over the whole rollout under ``no_grad``: gamma and
+    lambda count decisions, an episode that was truncated bootstraps from its last
+    observation's value, a terminated one does not. Advantages are normalised over the
+    whole rollout.
+
+    With ``advantage="mc"`` there is no critic: every ``group_size`` neighbouring
+    environments start alike, and an episode's advantage is how its return compares
+    within its group, see `rlco.collectors.group_advantages`.
 
     Iteration k plays the k-th episode of each environment, whatever was played
     before, so that a resumed run sees what an uninterrupted one sees.
@@ -30,9 +37,15 @@ class RolloutCollector:
     Args:
         env: The simulator.
         policy: Writes `action` and what it needs to recompute its log-probability.
-        critic: Writes `state_value` (N, 1).
-        gamma: Discount a decision.
+        critic: Writes `state_value` (N, 1); none with ``advantage="mc"``.
+        gamma: Discount a decision; GAE's.
         lmbda: GAE's lambda.
+        advantage: "gae" or "mc".
+        group_size: Episodes of a group; "mc" alone has groups.
+
+    Raises:
+        ConfigError: "gae" without a critic, or groups of one episode.
+        RlcoError: The number of environments is no multiple of ``group_size``.
 
     Example:
         >>> from rlco.envs import make_env
@@ -51,12 +64,17 @@ class RolloutCollector:
         self,
         env: ChunkEnv,
         policy: Any,
-        critic: Any,
+        critic: Any | None = None,
         *,
         gamma: float = 0.9,
         lmbda: float = 0.95,
+        advantage: Advantage = "gae",
+        group_size: int = 8,
     ) -> None:
+        _check(critic, advantage, group_size)
         self.env = env
+        self.group_size = group_size if advantage == "mc" else 1
+        env.start_in_groups(self.group_size)
         self.decisions = -(-env.horizon // env.chunk)
         # Text is not trained on, and costs more to stack than everything else.
         quiet = TransformedEnv(env, ExcludeTransform(keys.INSTRUCTION))
@@ -69,9 +87,11 @@ class RolloutCollector:
             auto_register_policy_transforms=False,
         )
         self._batches = iter(self._collector)
-        self._gae = GAE(
-            gamma=gamma, lmbda=lmbda, value_network=critic, average_gae=False
-        )
+        self._gae = None
+        if advantage == "gae":
+            self._gae = GAE(
+                gamma=gamma, lmbda=lmbda, value_network=critic, average_gae=False
+            )
 
     @property
     def frames(self) -> int:
@@ -81,26 +101,42 @@ class RolloutCollector:
     def collect(self, iteration: int) -> TensorDictBase:
         """Return the rollout of one iteration, shape (N, T) decisions.
 
-        Beside what environment and policy wrote it holds `advantage`,
+        Beside what environment and policy wrote it holds `advantage`, and with GAE
         `value_target` and `state_value`, each (N, T, 1). Decisions in which the
         simulation diverged have advantage 0 and their own value as target.
         """
         self.env.start_at(iteration)
         with set_exploration_type(ExplorationType.RANDOM):
             rollout = next(self._batches)
+        if self._gae is None:
+            return rollout.set(
+                keys.ADVANTAGE, group_advantages(rollout, self.group_size)
+            )
         with torch.no_grad():
             rollout = self._gae(rollout)
         # What a broken simulation did says nothing of the policy, nor of the critic.
         broken = rollout["next", keys.DIVERGED]
-        advantage = rollout[keys.ADVANTAGE]
         value = torch.where(
             broken, rollout[keys.STATE_VALUE], rollout[keys.VALUE_TARGET]
         )
         rollout.set(keys.VALUE_TARGET, value)
-        sound = advantage[~broken]
-        scaled = (advantage - sound.mean()) / (sound.std() + 1e-5)
-        return rollout.set(keys.ADVANTAGE, scaled.masked_fill(broken, 0.0))
+        return rollout.set(keys.ADVANTAGE, normalize(rollout[keys.ADVANTAGE], broken))
 
     def close(self) -> None:
         """Free the collector."""
         self._collector.shutdown()
+
+
+def _check(critic: Any | None, advantage: str, group_size: int) -> None:
+    problems = []
+    if advantage not in get_args(Advantage):
+        known = ", ".join(get_args(Advantage))
+        problems.append(f"unknown advantage {advantage!r}; known: {known}")
+    if advantage == "gae" and critic is None:
+        problems.append("advantage='gae' needs a critic; give one, or advantage='mc'")
+    if advantage == "mc" and group_size < 2:
+        problems.append(
+            f"group_size={group_size} leaves nothing to compare; give 2 or more"
+        )
+    if problems:
+        raise ConfigError(problems)

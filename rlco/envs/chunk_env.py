@@ -13,7 +13,7 @@ from torchrl.data import Bounded, Categorical, Composite, NonTensor, Unbounded
 from torchrl.envs import EnvBase
 
 from rlco import keys
-from rlco.errors import SimulationError
+from rlco.errors import RlcoError, SimulationError
 from rlco.physics.task import Array
 
 RewardKind = Literal["shaped", "sparse"]
@@ -96,6 +96,7 @@ class ChunkEnv(EnvBase):
         self.divergences = 0
         self._on_divergence = on_divergence
         self._seed = seed
+        self._group_size = 1
         self._episode = np.zeros(num_envs, dtype=np.int64)
         self._elapsed = np.zeros(num_envs, dtype=np.int64)
         self._instruction_id = np.zeros(num_envs, dtype=np.int64)
@@ -157,6 +158,23 @@ class ChunkEnv(EnvBase):
         """Let the next reset of every environment start its `episode`-th episode."""
         self._episode[:] = episode
 
+    def start_in_groups(self, size: int) -> None:
+        """Let every `size` neighbours start alike; N must be a multiple of it.
+
+        Episode k of environment i then starts from the state number
+        ``(k * N + i) // size``, with N / size of them at once.
+
+        Raises:
+            RlcoError: If N is no multiple of the size.
+        """
+        (n,) = self.batch_size
+        if size < 1 or n % size:
+            raise RlcoError(
+                f"group_size={size} does not divide num_envs={n}; give num_envs a "
+                "multiple of it, as a group is episodes from one initial state."
+            )
+        self._group_size = size
+
     def _reset(
         self, tensordict: TensorDictBase | None = None, **kwargs: object
     ) -> TensorDict:
@@ -164,7 +182,7 @@ class ChunkEnv(EnvBase):
         which: NDArray[np.int64] = np.arange(n)
         if tensordict is not None and "_reset" in tensordict:
             which = np.flatnonzero(tensordict["_reset"].numpy().reshape(n))
-        episodes = (self._episode[which] * n + which).tolist()
+        episodes = ((self._episode[which] * n + which) // self._group_size).tolist()
         self._episode[which] += 1
         self._elapsed[which] = 0
         self._start(which, episodes)

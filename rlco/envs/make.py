@@ -13,6 +13,7 @@ from rlco.envs.tabletop_env import Stepper, TabletopEnv
 from rlco.errors import RlcoError, UnknownNameError
 from rlco.physics.camera import Quality, check_quality
 from rlco.physics.domain import Domain, make_domain
+from rlco.physics.mended_model import Given, given_effects
 from rlco.physics.native import NativeStepper
 from rlco.physics.robosuite_stepper import RobosuiteStepper
 from rlco.physics.robosuite_tasks import PREFIX
@@ -34,7 +35,7 @@ def make_env(
     image_size: tuple[int, int] | None = None,
     image_quality: Quality = "fast",
     variation: str | None = None,
-    effects: object | None = None,
+    effects: Given = None,
     seed: int = 0,
     threads: int | None = None,
     on_divergence: OnDivergence = "reset",
@@ -55,7 +56,9 @@ def make_env(
         image_quality: ``fast``, or ``robosuite`` for robosuite's own pixels, about ten
             times slower.
         variation: A named variation of the scene, one of the task's.
-        effects: Physical effects to add to the model; none are known yet.
+        effects: Physical effects to add to the model: a list of
+            `rlco.physics.effects.AppliedEffect`, or the path of an ``effects.yaml``.
+            The robot's controller does not know of them.
         seed: Draws initial states and sensor noise.
         threads: Threads of the native backend; by default one a core.
         on_divergence: What to do with an environment whose simulation diverges:
@@ -64,7 +67,8 @@ def make_env(
 
     Raises:
         UnknownNameError: If a name is unknown.
-        RlcoError: If a number is out of range.
+        RlcoError: If a number is out of range, or an effect cannot be applied.
+        DataError: If the effects' file cannot be read.
         RenderingError: If images are asked for and nothing can render.
 
     Example:
@@ -91,11 +95,7 @@ def make_env(
             f"image_size={image_size} is not allowed; give (height, width) in pixels."
         )
     check_quality(image_quality)
-    if effects is not None:
-        raise RlcoError(
-            "effects= is not supported yet; leave it out, and put what MJCF can hold "
-            "into a Domain of your own."
-        )
+    given = given_effects(effects)
     if isinstance(task, str) and task.startswith(PREFIX):
         _refuse_for_robosuite(task, domain, image_size, variation)
         return make_robosuite_env(
@@ -109,6 +109,7 @@ def make_env(
             threads=threads,
             on_divergence=on_divergence,
             options=robosuite_options or {},
+            effects=given,
         )
     if robosuite_options:
         raise RlcoError(
@@ -128,6 +129,7 @@ def make_env(
             threads=threads,
             variation=variation,
             on_divergence="mark",
+            effects=given,
         )
     else:
         stepper = RobosuiteStepper(
@@ -136,6 +138,7 @@ def make_env(
             num_envs=num_envs,
             variation=variation,
             on_divergence="mark",
+            effects=given,
         )
     return TabletopEnv(
         task,

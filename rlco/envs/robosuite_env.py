@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rlco.envs.chunk_env import ChunkEnv, OnDivergence, RewardKind
 from rlco.physics.arm_control import Array
+from rlco.physics.effects.effects_file import EffectsFile
 from rlco.physics.robosuite_batch import BatchStep, RobosuiteBatch
 from rlco.physics.robosuite_envs import RobosuiteEnvs
 from rlco.physics.robosuite_tasks import (
@@ -126,11 +127,14 @@ def make_robosuite_env(
     threads: int | None,
     on_divergence: OnDivergence,
     options: Mapping[str, Any],
+    effects: EffectsFile | None = None,
 ) -> RobosuiteEnv:
     """Return a robosuite task as a TorchRL environment; see `rlco.envs.make_env`."""
 
     def make() -> Any:
-        return make_plain(name, **{"reward_shaping": reward == "shaped", **options})
+        return make_plain(
+            name, effects=effects, **{"reward_shaping": reward == "shaped", **options}
+        )
 
     wanted = [*STATE, ENVIRONMENT_STATE]
     first = make()

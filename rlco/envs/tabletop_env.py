@@ -41,6 +41,9 @@ class Stepper(Protocol):
     ) -> SceneState:
         """Execute chunks (N, H, 7); return states (N, H + 1)."""
 
+    def reported_state(self) -> SceneState:
+        """Return the present state as the robot's encoders tell it, (N,)."""
+
 
 class TabletopEnv(ChunkEnv):
     """N episodes of one of rlco's tasks; see `ChunkEnv` for how they advance.
@@ -141,7 +144,8 @@ class TabletopEnv(ChunkEnv):
     def _seen(self) -> dict[str, torch.Tensor]:
         row = -(-self._elapsed // self.chunk)
         noise = self._noise[np.arange(row.size), row]
-        robot, environment = observe(self.task, self.domain, self._present, noise)
+        reported = self.stepper.reported_state()
+        robot, environment = observe(self.task, self.domain, reported, noise)
         seen = {
             "state": torch.from_numpy(robot).float(),
             "environment_state": torch.from_numpy(environment).float(),

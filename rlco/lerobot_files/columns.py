@@ -136,16 +136,19 @@ def _to_array(file: Path, column: pa.ChunkedArray, feature: Feature) -> Array:
 def _check_finite(folder: LeRobotFolder, name: str, column: Array) -> None:
     if column.dtype.kind != "f":
         return
-    bad = ~np.isfinite(column).reshape(len(column), -1).all(axis=1)
+    broken = ~np.isfinite(column).reshape(len(column), -1)
+    bad = broken.any(axis=1)
     if not bad.any():
         return
     row = int(bad.argmax())
+    names = folder.feature(name).names
+    number = f" ({names[int(broken[row].argmax())]})" if names else ""
     ends = np.cumsum([episode.length for episode in folder.episodes])
     which = int(np.searchsorted(ends, row, side="right"))
     episode = folder.episodes[which]
     raise DataError(
-        f"feature {name!r} of data set {str(folder.path)!r} is NaN or infinite in "
-        f"{int(bad.sum())} of {len(column)} frames, first in episode {episode.index} "
-        f"at frame {row - int(ends[which]) + episode.length}; mend it, or leave the "
-        "episode out with episodes=."
+        f"feature {name!r}{number} of data set {str(folder.path)!r} is NaN or infinite "
+        f"in {int(bad.sum())} of {len(column)} frames, first in episode "
+        f"{episode.index} at frame {row - int(ends[which]) + episode.length}; mend it, "
+        "or leave the episode out with episodes=."
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any, Literal, NoReturn
 
 from rlco.errors import DataError
 from rlco.lerobot_files.schema import Episode, VideoSpan, format_indices
@@ -130,15 +130,22 @@ def raise_unfinished(path: Path, reason: str) -> NoReturn:
 
 
 def select(
-    path: Path, listed: Sequence[Episode], wanted: Iterable[int] | None
+    path: Path,
+    listed: Sequence[Episode],
+    wanted: Iterable[int] | Literal["present"] | None,
 ) -> tuple[Episode, ...]:
     """Return the wanted episodes, in the order asked for; None wants all.
+
+    ``present`` wants those whose file is there.
 
     Raises:
         DataError: An index is unknown or twice there, or an episode's file is
             missing; the message says which are there.
     """
     by_index = {episode.index: episode for episode in listed}
+    if wanted == "present":
+        there = [episode.index for episode in listed if episode.data_file.is_file()]
+        wanted = there or None
     indices = list(by_index if wanted is None else wanted)
     unknown = [index for index in indices if index not in by_index]
     if unknown or not indices or len(set(indices)) < len(indices):

@@ -6,7 +6,7 @@ import json
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from rlco.errors import DataError, suggest
 from rlco.lerobot_files.episodes import (
@@ -26,7 +26,7 @@ UNFINISHED_MARK = "meta/unfinished"
 def read_folder(
     path: str | Path,
     *,
-    episodes: Iterable[int] | None = None,
+    episodes: Iterable[int] | Literal["present"] | None = None,
     rename: Mapping[str, str] | None = None,
 ) -> LeRobotFolder:
     """Read and check the metadata of a local LeRobot folder, v2.1 or v3.
@@ -35,7 +35,8 @@ def read_folder(
 
     Args:
         path: The folder that holds ``meta/info.json``.
-        episodes: Episode indices to read, in this order; None for all.
+        episodes: Episode indices to read, in this order; None for all, ``present``
+            for those whose file is there.
         rename: ``{"their.name": "our.name"}`` for features named otherwise.
 
     Raises:

@@ -12,7 +12,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 def log_probs(
     actor: Any, tensordict: TensorDictBase, *, rows: int | None = None
 ) -> torch.Tensor:
-    """Return the log-probability [*B] of each stored sample under ``actor`` as it is.
+    """Return the log-probability of each stored sample under ``actor`` as it is.
 
     PPO compares log-probabilities of two times. Those of the rollout come from other
     batch sizes, another precision or compiled code, and differ by more than the
@@ -27,6 +27,9 @@ def log_probs(
         rows: size of the minibatches to come. Matrix products of another size round
             otherwise, which bfloat16 magnifies: split alike, they do not. None: at
             once.
+
+    Returns:
+        [*B], or finer where the actor's log-probability is.
 
     Example:
         >>> import torch
@@ -46,4 +49,5 @@ def log_probs(
         computed = [
             actor.get_dist(part).log_prob(part.get(sample_key)) for part in parts
         ]
-    return torch.cat(computed).reshape(tensordict.batch_size)
+    together = torch.cat(computed)
+    return together.reshape(*tensordict.batch_size, *together.shape[1:])

@@ -12,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlco.errors import RlcoError
+from rlco.physics.effect_sim import mended_model_of
+from rlco.physics.mended_model import Acting
 from rlco.physics.quiet_robosuite import (
     BDGripper,
     FixedBaseRobot,
@@ -70,6 +72,7 @@ class Control(NamedTuple):
     finger_ctrl: Integers  # (G,)
     finger_range: Array  # (G, 2)
     finger_step: Array  # change of each goal a control step when closing, (G,)
+    acting: Acting  # what effects do in each physics step
 
     @property
     def action_size(self) -> int:
@@ -95,6 +98,7 @@ def read_control(env: Any, *, exact: bool) -> Control:
     joint_position = isinstance(arm, JointPositionController)
     fingers = integers(robot._ref_joint_gripper_actuator_indexes[name] or [])
     arm_ctrl = integers(robot._ref_actuators_indexes_dict[name])
+    substeps = int(env.control_timestep / env.model_timestep)
     origin, rotation = robot.composite_controller.get_controller_base_pose(name)
     inputs = [
         arm.input_min,
@@ -112,7 +116,7 @@ def read_control(env: Any, *, exact: bool) -> Control:
         nv=int(model.nv),
         nm=int(model.nM),
         nu=int(model.nu),
-        substeps=int(env.control_timestep / env.model_timestep),
+        substeps=substeps,
         arm_qpos=integers(arm.qpos_index),
         arm_dof=integers(arm.qvel_index),
         arm_ctrl=arm_ctrl,
@@ -124,6 +128,7 @@ def read_control(env: Any, *, exact: bool) -> Control:
         finger_ctrl=fingers,
         finger_range=model.actuator_ctrlrange[fingers].reshape(-1, 2).copy(),
         finger_step=gripper.speed * np.array(FINGER_DIRECTIONS[type(gripper)]),
+        acting=mended_model_of(env.sim).acting(substeps),
     )
 
 

@@ -6,13 +6,27 @@ and its gripper, in robosuite's order.
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-from rlco.physics.arm_control import Array, Integers
+from rlco.physics.copy_memory import (
+    BIAS,
+    CTRL,
+    MASS,
+    QPOS,
+    QVEL,
+    SITE_MAT,
+    SITE_POS,
+    TOO_LARGE,
+)
+from rlco.physics.effect_kernels import (
+    add_step_terms,
+    goal_is_due,
+    lag_behind,
+    look,
+)
 from rlco.physics.libmujoco import doubles, mj_jacSite, mj_step1, mj_step2
 from rlco.physics.osc import (
     NULL_STIFFNESS,
@@ -21,92 +35,6 @@ from rlco.physics.osc import (
     robosuite_joint_torques,
     world_goal,
 )
-
-# Columns of the table of field addresses, one row a copy.
-FIELDS = (
-    "qpos",
-    "qvel",
-    "ctrl",
-    "qfrc_bias",
-    "qM",
-    "site_xpos",
-    "site_xmat",
-    "xpos",
-    "xquat",
-    "mocap_pos",
-    "mocap_quat",
-)
-_COLUMN = {name: i + 1 for i, name in enumerate(FIELDS)}  # 0: mjData itself
-(QPOS, QVEL, CTRL, BIAS, MASS, SITE_POS, SITE_MAT, POS, QUAT) = (
-    _COLUMN[name] for name in FIELDS[:9]
-)
-MOCAP_POS, MOCAP_QUAT = _COLUMN["mocap_pos"], _COLUMN["mocap_quat"]
-# Beyond this, as MuJoCo has it, a number is as good as NaN (its mjMAXVAL).
-TOO_LARGE = 1e10
-
-
-class Memory(NamedTuple):
-    """What each of N copies has of its own beside MuJoCo's state.
-
-    With n arm joints, D numbers that command the arm, G actuators of the gripper,
-    actions of A numbers and delays of at most L control steps.
-    """
-
-    models: Integers  # addresses of their models, (N,)
-    fields: Integers  # addresses of their data and its arrays, (N, 1 + FIELDS)
-    posture: Array  # where the null space pulls the arm, (N, n), [rad]
-    grip: Array  # the gripper's goals in [-1, 1], (N, G)
-    stiffness: Array  # (N, D)
-    damping: Array  # (N, D)
-    delay: Integers  # control steps between a command and its execution, (N,)
-    pending: Array  # commands given and not yet executed, (N, L, A)
-    broken: NDArray[np.bool_]  # diverged: not stepped until reset, (N,)
-    fresh: NDArray[np.bool_]  # the next physics step takes the first matrices, (N,)
-    first_mass: Array  # (N, n, n), see `set_first_matrices`
-    first_jacobian: Array  # (N, 6, n)
-
-
-class Scratch(NamedTuple):
-    """Working space of one thread."""
-
-    action: Array
-    mass: Array
-    jacobian: Array
-    arm_jacobian: Array
-    bias: Array
-    torque: Array
-    null: Array
-    qpos: Array
-    qvel: Array
-    wanted: Array
-    velocity: Array
-    error: Array
-    move: Array
-    goal: Array
-    goal_rotation: Array
-
-
-@njit(nogil=True, cache=True)
-def scratch(control: Any) -> Any:
-    """Return working space for copies under this control."""
-    n, moves = control.arm_dof.shape[0], control.inputs.shape[1]
-    return Scratch(
-        np.empty(moves + 1),
-        np.empty((n, n)),
-        np.zeros((6, control.nv)),
-        np.empty((6, n)),
-        np.empty(n),
-        np.empty(n),
-        np.empty(n),
-        np.empty(n),
-        np.empty(n),
-        np.empty(6),
-        np.empty(6),
-        np.empty(3),
-        np.empty(moves),
-        np.empty(max(3, moves)),
-        np.empty((3, 3)),
-    )
 
 
 @njit(nogil=True, cache=True)
@@ -145,9 +73,12 @@ def too_large(values: Any) -> bool:
 
 
 @njit(nogil=True, cache=True)
-def next_action(memory: Any, e: int, given: Any, action: Any) -> None:
-    """Write the command that was given `delay` control steps ago; store this one."""
-    delay = memory.delay[e]
+def next_action(memory: Any, e: int, whole: int, given: Any, action: Any) -> None:
+    """Write the command that was given some control steps ago; store this one.
+
+    They are the copy's own `delay`, and `whole` more.
+    """
+    delay = memory.delay[e] + whole
     if delay == 0:
         action[: given.shape[0]] = given
         return
@@ -161,7 +92,7 @@ def next_action(memory: Any, e: int, given: Any, action: Any) -> None:
 @njit(nogil=True, cache=True)
 def set_goals(control: Any, memory: Any, e: int, s: Any) -> None:
     """Set the goals that a command asks for, of the arm and of the gripper."""
-    f = memory.fields[e]
+    f, action = memory.seen[e], memory.action[e]
     moves = control.inputs.shape[1]
     for i in range(moves):
         low, high, middle = (
@@ -169,12 +100,12 @@ def set_goals(control: Any, memory: Any, e: int, s: Any) -> None:
             control.inputs[1, i],
             control.inputs[2, i],
         )
-        clipped = min(max(s.action[i], low), high)
+        clipped = min(max(action[i], low), high)
         s.move[i] = (clipped - middle) * control.inputs[3, i] + control.inputs[4, i]
     if control.joint_position:
         qpos = doubles(f[QPOS], control.nq)
         for i in range(moves):
-            s.goal[i] = qpos[control.arm_qpos[i]] + s.move[i]
+            memory.goal[e, i] = qpos[control.arm_qpos[i]] + s.move[i]
     else:
         tool = doubles(f[SITE_POS] + 24 * control.site, 3)
         rotation = doubles(f[SITE_MAT] + 72 * control.site, 9)
@@ -184,12 +115,12 @@ def set_goals(control: Any, memory: Any, e: int, s: Any) -> None:
             tool,
             rotation,
             s.move,
-            s.goal[:3],
-            s.goal_rotation,
+            memory.goal[e, :3],
+            memory.goal_rotation[e],
         )
     grip = memory.grip[e]
     if grip.shape[0]:
-        side = np.sign(s.action[moves])
+        side = np.sign(action[moves])
         for g in range(grip.shape[0]):
             grip[g] = min(max(grip[g] + control.finger_step[g] * side, -1.0), 1.0)
 
@@ -197,9 +128,9 @@ def set_goals(control: Any, memory: Any, e: int, s: Any) -> None:
 @njit(nogil=True, cache=True)
 def joint_position_torques(control: Any, memory: Any, e: int, s: Any) -> None:
     """Write the torques of robosuite's ``JOINT_POSITION``."""
-    n = s.torque.shape[0]
+    n, goal = s.torque.shape[0], memory.goal[e]
     for i in range(n):
-        s.null[i] = (s.goal[i] - s.qpos[i]) * memory.stiffness[e, i] - (
+        s.null[i] = (goal[i] - s.qpos[i]) * memory.stiffness[e, i] - (
             s.qvel[i] * memory.damping[e, i]
         )
     for i in range(n):
@@ -212,7 +143,7 @@ def joint_position_torques(control: Any, memory: Any, e: int, s: Any) -> None:
 @njit(nogil=True, cache=True)
 def osc_pose_torques(control: Any, memory: Any, e: int, model: int, s: Any) -> None:
     """Write the torques of robosuite's ``OSC_POSE``."""
-    f = memory.fields[e]
+    f, goal = memory.seen[e], memory.goal[e]
     n = s.torque.shape[0]
     tool = doubles(f[SITE_POS] + 24 * control.site, 3)
     rotation = doubles(f[SITE_MAT] + 72 * control.site, 9)
@@ -232,10 +163,10 @@ def osc_pose_torques(control: Any, memory: Any, e: int, model: int, s: Any) -> N
             s.velocity[r] = 0.0
             for i in range(n):
                 s.velocity[r] += s.arm_jacobian[r, i] * s.qvel[i]
-    orientation_error(s.goal_rotation, rotation, s.error)
+    orientation_error(memory.goal_rotation[e], rotation, s.error)
     stiffness, damping = memory.stiffness[e], memory.damping[e]
     for r in range(3):
-        s.wanted[r] = (s.goal[r] - tool[r]) * stiffness[r]
+        s.wanted[r] = (goal[r] - tool[r]) * stiffness[r]
         s.wanted[3 + r] = s.error[r] * stiffness[3 + r]
     for r in range(6):
         s.wanted[r] -= s.velocity[r] * damping[r]
@@ -261,18 +192,25 @@ def osc_pose_torques(control: Any, memory: Any, e: int, model: int, s: Any) -> N
 @njit(nogil=True, cache=True)
 def control_step(control: Any, memory: Any, e: int, given: Any, s: Any) -> bool:
     """Execute one control step of a copy; return whether its state is sound."""
-    model, f = memory.models[e], memory.fields[e]
+    acting, model, f = control.acting, memory.models[e], memory.fields[e]
+    # What the controller sees: the state itself, but for what it does not know of.
+    seen, seen_model = memory.seen[e], acting.believed or model
     n = control.arm_dof.shape[0]
     qpos, qvel = doubles(f[QPOS], control.nq), doubles(f[QVEL], control.nv)
+    told, told_speed = doubles(seen[QPOS], control.nq), doubles(seen[QVEL], control.nv)
     ctrl = doubles(f[CTRL], control.nu)
-    qfrc, qm = doubles(f[BIAS], control.nv), doubles(f[MASS], control.nm)
-    next_action(memory, e, given, s.action)
+    qfrc, qm = doubles(seen[BIAS], control.nv), doubles(seen[MASS], control.nm)
+    next_action(memory, e, acting.whole, given, s.action)
     for step in range(control.substeps):
         # Here rather than by MuJoCo's warnings: LAPACK refuses NaN.
         if too_large(qpos) or too_large(qvel):
             return False
+        if acting.terms:
+            add_step_terms(control, memory, e)
         mj_step1(model, f[0])
-        if step == 0:
+        if acting.believed:
+            look(control, memory, e)
+        if goal_is_due(control, memory, e, step, s.action):
             set_goals(control, memory, e, s)
         if memory.fresh[e]:
             s.mass[:] = memory.first_mass[e]
@@ -280,12 +218,12 @@ def control_step(control: Any, memory: Any, e: int, given: Any, s: Any) -> bool:
             arm_mass(qm, control, s.mass)
         for i in range(n):
             s.bias[i] = qfrc[control.arm_dof[i]]
-            s.qpos[i] = qpos[control.arm_qpos[i]]
-            s.qvel[i] = qvel[control.arm_dof[i]]
+            s.qpos[i] = told[control.arm_qpos[i]]
+            s.qvel[i] = told_speed[control.arm_dof[i]]
         if control.joint_position:
             joint_position_torques(control, memory, e, s)
         else:
-            osc_pose_torques(control, memory, e, model, s)
+            osc_pose_torques(control, memory, e, seen_model, s)
         memory.fresh[e] = False
         if too_large(s.torque):
             return False
@@ -296,5 +234,8 @@ def control_step(control: Any, memory: Any, e: int, given: Any, s: Any) -> bool:
             low, high = control.finger_range[g, 0], control.finger_range[g, 1]
             target = 0.5 * (high + low) + 0.5 * (high - low) * memory.grip[e, g]
             ctrl[control.finger_ctrl[g]] = min(max(target, low), high)
+        if acting.lags:
+            lag_behind(control, memory, e, ctrl)
         mj_step2(model, f[0])
+        memory.clock[e] += 1
     return not (too_large(qpos) or too_large(qvel))

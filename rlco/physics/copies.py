@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from rlco.errors import RlcoError, UnknownNameError
 from rlco.physics.arm_control import Array, Control, Integers
-from rlco.physics.arm_kernels import FIELDS, Memory
+from rlco.physics.copy_memory import FIELDS, Memory
 from rlco.physics.libmujoco import address_of
 from rlco.physics.model_struct import ModelCopy, array_fields, reserve_memory
 
@@ -31,6 +31,7 @@ class Copies:
         num_envs: Number of copies N.
         threads: Python threads; by default one a core, at most `num_envs`.
         command_delay: Control steps between a command and its execution.
+        believed: The model that the controller computes with, where that is another.
     """
 
     def __init__(
@@ -42,34 +43,49 @@ class Copies:
         num_envs: int,
         threads: int | None,
         command_delay: int = 0,
+        believed: mujoco.MjModel | None = None,
     ) -> None:
         self.control = control
         self.num_envs = num_envs
-        self.model: mujoco.MjModel = copy.copy(model)
-        # A diverged state must show, not start over from the model's zero.
-        self.model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
-        reserve_memory(self.model, min(RESERVED, self.model.narena))
+        self.model = _own(model)
         self.data = [mujoco.MjData(self.model) for _ in range(num_envs)]
-        rows = [
-            [d._address, *(address_of(getattr(d, name)) for name in FIELDS)]
-            for d in self.data
-        ]
-        fingers = control.finger_ctrl.size
+        fields = seen = _addresses(self.data)
+        self.seen = self.data
+        if believed is not None:
+            self._believed = _own(believed)
+            self.seen = [mujoco.MjData(self._believed) for _ in range(num_envs)]
+            seen = _addresses(self.seen)
+            acting = control.acting._replace(believed=self._believed._address)
+            self.control = control._replace(acting=acting)
+        fingers, pending = (
+            control.finger_ctrl.size,
+            command_delay + control.acting.whole,
+        )
         self.memory = Memory(
             models=np.full(num_envs, self.model._address, dtype=np.int64),
-            fields=np.array(rows, dtype=np.int64),
+            fields=fields,
+            seen=seen,
             posture=np.zeros((num_envs, control.arm_dof.size)),
             grip=np.zeros((num_envs, fingers)),
             stiffness=np.tile(gains[0], (num_envs, 1)),
             damping=np.tile(gains[1], (num_envs, 1)),
             delay=np.full(num_envs, command_delay, dtype=np.int64),
-            pending=np.zeros((num_envs, command_delay, control.action_size)),
+            pending=np.zeros((num_envs, pending, control.action_size)),
             broken=np.zeros(num_envs, dtype=np.bool_),
             fresh=np.zeros(num_envs, dtype=np.bool_),
             first_mass=np.zeros((num_envs, control.arm_dof.size, control.arm_dof.size)),
             first_jacobian=np.zeros((num_envs, 6, control.arm_dof.size)),
+            goal=np.zeros((num_envs, max(3, control.inputs.shape[1]))),
+            goal_rotation=np.zeros((num_envs, 3, 3)),
+            clock=np.zeros(num_envs, dtype=np.int64),
+            action=np.zeros((num_envs, control.inputs.shape[1] + 1)),
+            unread=np.zeros(num_envs, dtype=np.bool_),
+            ctrl=np.zeros((num_envs, control.nu)),
+            friction=np.zeros(num_envs, dtype=np.int64),
+            coulomb=np.zeros((num_envs, control.nv)),
         )
         self._models: dict[int, ModelCopy] = {}
+        self.restore_models(np.arange(num_envs))
         self._compiler: tuple[mujoco.MjModel, mujoco.MjData] | None = None
         count = min(threads or os.cpu_count() or 1, num_envs)
         self._pool = ThreadPoolExecutor(count) if count > 1 else None
@@ -89,8 +105,15 @@ class Copies:
 
     def forget(self, which: Integers) -> None:
         """Drop pending commands and divergences of the copies `which`."""
-        self.memory.pending[which] = 0.0
-        self.memory.broken[which] = False
+        memory = self.memory
+        memory.pending[which] = memory.action[which] = 0.0
+        memory.broken[which] = memory.unread[which] = False
+        memory.clock[which] = 0
+        if self.control.acting.terms:
+            for number in which.tolist():
+                self._models[number].set_array(
+                    "dof_frictionloss", memory.coulomb[number]
+                )
 
     # -- What differs from copy to copy ----------------------------------------
 
@@ -144,6 +167,8 @@ class Copies:
             own = self._own_model(number)
             for name, value in fields.items():
                 own.set_array(name, self._row(name, value, row, len(which)))
+                if name == "dof_frictionloss":
+                    self.memory.coulomb[number] = own.arrays[name]
             if derive:
                 self._derive(own)
 
@@ -180,7 +205,8 @@ class Copies:
         values = np.broadcast_to(np.asarray(delay, dtype=np.int64), which.shape)
         if values.min(initial=0) < 0:
             raise RlcoError(f"command_delay={delay} is not allowed; give 0 or more.")
-        longest = max(int(values.max(initial=0)), self.memory.pending.shape[1])
+        most = int(values.max(initial=0)) + self.control.acting.whole
+        longest = max(most, self.memory.pending.shape[1])
         pending = np.zeros((self.num_envs, longest, self.control.action_size))
         pending[:, : self.memory.pending.shape[1]] = self.memory.pending
         pending[which] = 0.0
@@ -192,6 +218,13 @@ class Copies:
         for number in which.tolist():
             self.memory.models[number] = self.model._address
             self._models.pop(number, None)
+            if self.control.acting.terms:
+                # Friction that changes from step to step is a copy's own.
+                own = self._own_model(number)
+                own.set_array("dof_frictionloss", self.model.dof_frictionloss)
+                friction = own.arrays["dof_frictionloss"]
+                self.memory.friction[number] = address_of(friction)
+                self.memory.coulomb[number] = friction
 
     def _own_model(self, number: int) -> ModelCopy:
         if number not in self._models:
@@ -235,3 +268,18 @@ class Copies:
             if not np.array_equal(value, getattr(self.model, name)):
                 own.set_array(name, value)
         own.set_statistics(model)
+
+
+def _own(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy of a model in which a diverged state shows, and little is kept."""
+    own: mujoco.MjModel = copy.copy(model)
+    # A diverged state must show, not start over from the model's zero.
+    own.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    reserve_memory(own, min(RESERVED, own.narena))
+    return own
+
+
+def _addresses(data: list[mujoco.MjData]) -> Integers:
+    """Return where each state and its arrays lie, (N, 1 + FIELDS)."""
+    rows = [[d._address, *(address_of(getattr(d, n)) for n in FIELDS)] for d in data]
+    return np.array(rows, dtype=np.int64)

@@ -9,6 +9,7 @@ import numpy as np
 
 from rlco.errors import RlcoError
 from rlco.physics.domain import Domain
+from rlco.physics.mended_model import Given
 from rlco.physics.native import NativeStepper
 from rlco.physics.observation import noise_size, observe
 from rlco.physics.task import Array, Task
@@ -42,6 +43,7 @@ def demonstrate(
     noise: float = 0.1,
     hold: int = 15,
     num_envs: int = 20,
+    effects: Given = None,
 ) -> Iterator[Demonstration]:
     """Yield successful demonstrations of the expert, in the order of their seeds.
 
@@ -60,11 +62,12 @@ def demonstrate(
         noise: Standard deviation of command noise, in units of the action's range.
         hold: Control steps kept after the task is solved [steps].
         num_envs: Episodes that run side by side.
+        effects: Effects to add to the model, see `rlco.envs.make_env`.
 
     Raises:
         RlcoError: If the expert fails in more than half of many episodes.
     """
-    stepper = NativeStepper(task, domain, num_envs=num_envs)
+    stepper = NativeStepper(task, domain, num_envs=num_envs, effects=effects)
     share, more = divmod(episodes, len(task.instructions))
     wanted = {
         text: share + (index < more) for index, text in enumerate(task.instructions)
@@ -103,7 +106,7 @@ def _batch(
     sensor = np.stack([rng.standard_normal(size) for rng in rngs])
     robot, environment, action, solved = [], [], [], []
     for t in range(task.horizon):
-        seen = observe(task, domain, state, sensor[:, t])
+        seen = observe(task, domain, stepper.reported_state(), sensor[:, t])
         command = np.clip(task.expert(state) + jitter[:, t], -1.0, 1.0)
         after = stepper.step(command[:, None])
         state = after.at(np.s_[:, 1])

@@ -7,13 +7,16 @@ addresses that the Python objects give (``MjModel._address``).
 
 from __future__ import annotations
 
+import ctypes
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import llvmlite.binding
 import mujoco
 import numpy as np
-from numba import carray, njit, types
+from numba import carray, cfunc, njit, types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
@@ -23,10 +26,16 @@ llvmlite.binding.load_library_permanently(str(_LIBRARY))
 _MODEL_DATA = types.void(types.intp, types.intp)
 mj_step1 = types.ExternalFunction("mj_step1", _MODEL_DATA)
 mj_step2 = types.ExternalFunction("mj_step2", _MODEL_DATA)
+mj_step = types.ExternalFunction("mj_step", _MODEL_DATA)
+mj_inverse = types.ExternalFunction("mj_inverse", _MODEL_DATA)
 mj_forward = types.ExternalFunction("mj_forward", _MODEL_DATA)
 mj_kinematics = types.ExternalFunction("mj_kinematics", _MODEL_DATA)
 mj_comPos = types.ExternalFunction("mj_comPos", _MODEL_DATA)  # noqa: N816
 mj_makeM = types.ExternalFunction("mj_makeM", _MODEL_DATA)  # noqa: N816
+mj_comVel = types.ExternalFunction("mj_comVel", _MODEL_DATA)  # noqa: N816
+mj_rne = types.ExternalFunction(
+    "mj_rne", types.void(types.intp, types.intp, types.intc, types.intp)
+)
 mj_resetData = types.ExternalFunction("mj_resetData", _MODEL_DATA)  # noqa: N816
 mj_jacSite = types.ExternalFunction(  # noqa: N816
     "mj_jacSite",
@@ -55,3 +64,24 @@ def doubles(address: int, size: int) -> NDArray[np.float64]:
 def address_of(array: NDArray[Any]) -> int:
     """Return where an array's first element lies."""
     return int(array.__array_interface__["data"][0])
+
+
+@cfunc("void(voidptr)", cache=True)  # type: ignore[untyped-decorator]
+def _ignore(message: Any) -> None:
+    """Do nothing: MuJoCo also counts its warnings in the ``mjData``."""
+
+
+@contextmanager
+def unsaid_warnings() -> Iterator[None]:
+    """Keep MuJoCo from printing warnings and from writing ``MUJOCO_LOG.TXT``.
+
+    For searches that try numbers which diverge; their ``mjData`` says so too.
+    """
+    library = ctypes.CDLL(str(_LIBRARY))
+    handler = ctypes.c_void_p.in_dll(library, "mju_user_warning")
+    before = handler.value
+    handler.value = _ignore.address
+    try:
+        yield
+    finally:
+        handler.value = before

@@ -10,6 +10,7 @@ rounding that matters, comes in robosuite's order; a test compares the motions.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, Literal
 
 import mujoco
@@ -20,6 +21,9 @@ from rlco.errors import SimulationError
 from rlco.physics.arm_control import integers, read_control, read_gains
 from rlco.physics.copies import Copies
 from rlco.physics.domain import Domain
+from rlco.physics.effect_kernels import look_range
+from rlco.physics.effect_sim import mended_model_of
+from rlco.physics.mended_model import Given, given_effects
 from rlco.physics.native_kernels import OBJECTS, Tracked, reset_range, step_range
 from rlco.physics.task import Array, InitialState, SceneState, Task, check_actions
 
@@ -40,6 +44,11 @@ class NativeStepper:
         variation: A named variation of the scene.
         on_divergence: ``raise``, or ``mark`` a copy that diverges in `diverged` and
             leave it alone until its reset; its state stays the last sound one.
+        effects: Effects to add to the model: a list, or the path of an
+            ``effects.yaml``.
+
+    Raises:
+        RlcoError: If an effect cannot be applied; names it.
 
     Example:
         >>> from rlco.physics.domain import SIM
@@ -62,6 +71,7 @@ class NativeStepper:
         exact: bool = False,
         variation: str | None = None,
         on_divergence: OnDivergence = "raise",
+        effects: Given = None,
     ) -> None:
         from rlco.physics.tabletop import Tabletop
 
@@ -69,7 +79,8 @@ class NativeStepper:
         self.domain = domain
         self.num_envs = num_envs
         self._on_divergence = on_divergence
-        source = Tabletop(task, domain, variation=variation)
+        given = given_effects(effects)
+        source = Tabletop(task, domain, variation=variation, effects=given)
         source.start(task.sample(np.random.default_rng(0), variation))
         self.copies = Copies(
             source.sim.model._model,
@@ -78,6 +89,7 @@ class NativeStepper:
             num_envs=num_envs,
             threads=threads,
             command_delay=domain.command_delay,
+            believed=mended_model_of(source.sim).believed,
         )
         self.tracked = _tracked(source)
         tracked = self.tracked
@@ -123,7 +135,8 @@ class NativeStepper:
             axis=-1,
         )
         memory = self.copies.memory
-        memory.posture[which] = joints
+        factor, offset = self.copies.control.acting.told[:, self.tracked.arm_qpos]
+        memory.posture[which] = factor * joints + offset
         memory.grip[which] = np.stack([start.gripper_goal() for start in initial])
         self.copies.forget(which)
         # New arrays: states returned earlier hold views of the old ones.
@@ -142,6 +155,7 @@ class NativeStepper:
             np.stack([start.fixture_opening() for start in initial]),
             self.features,
         )
+        look_range(which, self.copies.control, memory)
         return self._scene(self.features, self.goals, self.instruction_id)
 
     def step(
@@ -209,6 +223,24 @@ class NativeStepper:
     def scene_state(self) -> SceneState:
         """Return the present state of all copies, leading axes (N,)."""
         return self._scene(self.features, self.goals, self.instruction_id)
+
+    def reported_state(self) -> SceneState:
+        """Return the same with robots where their encoders tell that they are."""
+        state, control = self.scene_state(), self.copies.control
+        if not control.acting.believed:
+            return state
+        tool, rotation = state.tool_position.copy(), state.tool_rotation.copy()
+        for number in np.flatnonzero(~self.diverged).tolist():
+            data = self.copies.seen[number]
+            tool[number] = data.site_xpos[control.site]
+            rotation[number] = data.site_xmat[control.site].reshape(3, 3)
+        factor, offset = control.acting.told[:, self.tracked.arm_qpos]
+        return replace(
+            state,
+            tool_position=tool,
+            tool_rotation=rotation,
+            joint_position=factor * state.joint_position + offset,
+        )
 
     def _scene(
         self, features: Array, goals: Array, ids: NDArray[np.int64]

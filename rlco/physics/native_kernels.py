@@ -11,7 +11,8 @@ import numpy as np
 from numba import njit
 
 from rlco.physics.arm_control import Integers
-from rlco.physics.arm_kernels import (
+from rlco.physics.arm_kernels import arm_columns, arm_mass, control_step
+from rlco.physics.copy_memory import (
     MASS,
     MOCAP_POS,
     MOCAP_QUAT,
@@ -20,9 +21,6 @@ from rlco.physics.arm_kernels import (
     QUAT,
     SITE_MAT,
     SITE_POS,
-    arm_columns,
-    arm_mass,
-    control_step,
     scratch,
 )
 from rlco.physics.libmujoco import (

@@ -43,6 +43,7 @@ try:
         from robosuite.models.objects import MujocoObject
         from robosuite.models.tasks import ManipulationTask
         from robosuite.robots import FixedBaseRobot
+        from robosuite.utils.binding_utils import MjSim
         from robosuite.utils.control_utils import nullspace_torques, opspace_matrices
         from robosuite.utils.observables import NO_CORRUPTION, NO_DELAY, NO_FILTER
 finally:
@@ -62,6 +63,7 @@ __all__ = [
     "JointPositionController",
     "ManipulationEnv",
     "ManipulationTask",
+    "MjSim",
     "MujocoModel",
     "MujocoObject",
     "NullGripper",

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rlco.errors import RlcoError, SimulationError
 from rlco.physics.arm_control import Array, read_control, read_gains
 from rlco.physics.copies import Copies
+from rlco.physics.effect_sim import mended_model_of
 from rlco.physics.global_random import seeded
 from rlco.physics.native import OnDivergence
 from rlco.physics.native_kernels import (
@@ -99,6 +100,7 @@ class RobosuiteBatch:
             read_gains(made),
             num_envs=num_envs,
             threads=threads,
+            believed=mended_model_of(made.sim).believed,
         )
         self._caches: list[Cache] = [{} for _ in range(num_envs)]
         self.source.look_at(self.data[0])
@@ -152,7 +154,8 @@ class RobosuiteBatch:
                 source.look_at(self.data[number])
                 source.place(seed)
                 self._take_over(number)
-        set_first_matrices(which, self.copies.control, memory, self.model.qpos0)
+        if not self.copies.control.acting.believed:
+            set_first_matrices(which, self.copies.control, memory, self.model.qpos0)
         forward_range(which, memory)
         for number in which.tolist():
             self._look(number)

@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlco.errors import SimulationError
-from rlco.physics.arm_kernels import TOO_LARGE
+from rlco.physics.copy_memory import TOO_LARGE
 from rlco.physics.domain import Domain
+from rlco.physics.mended_model import Given, given_effects
 from rlco.physics.native import OnDivergence
 from rlco.physics.task import Array, InitialState, SceneState, Task, check_actions
 
@@ -60,15 +61,18 @@ class RobosuiteStepper:
         num_envs: int,
         variation: str | None = None,
         on_divergence: OnDivergence = "raise",
+        effects: Given = None,
     ) -> None:
         from rlco.physics.tabletop import Tabletop
 
+        given = given_effects(effects)
         self.task = task
         self.domain = domain
         self.num_envs = num_envs
         self._on_divergence = on_divergence
         self.envs = [
-            Tabletop(task, domain, variation=variation) for _ in range(num_envs)
+            Tabletop(task, domain, variation=variation, effects=given)
+            for _ in range(num_envs)
         ]
         for env in self.envs:
             keep_divergence(env)
@@ -125,3 +129,14 @@ class RobosuiteStepper:
     def scene_state(self) -> SceneState:
         """Return the present state of all copies, leading axes (N,)."""
         return stack_states(self._present)
+
+    def reported_state(self) -> SceneState:
+        """Return the same with robots where their encoders tell that they are."""
+        return stack_states(
+            [
+                present if broken else env.reported_state()
+                for present, env, broken in zip(
+                    self._present, self.envs, self.diverged, strict=True
+                )
+            ]
+        )

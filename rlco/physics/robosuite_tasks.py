@@ -8,7 +8,11 @@ from typing import Any
 import numpy as np
 
 from rlco.errors import RlcoError, UnknownNameError
+from rlco.physics.effect_sim import initialize_with
+from rlco.physics.effects.apply import EffectError, library_effect
+from rlco.physics.effects.effects_file import EffectsFile
 from rlco.physics.global_random import seeded
+from rlco.physics.mended_model import without_effects
 from rlco.physics.quiet_robosuite import robosuite
 
 PREFIX = "robosuite:"
@@ -102,7 +106,9 @@ class RobosuiteTask:
         }
 
 
-def make_plain(name: str, *, seed: int = 0, **options: Any) -> Any:
+def make_plain(
+    name: str, *, seed: int = 0, effects: EffectsFile | None = None, **options: Any
+) -> Any:
     """Return one of robosuite's environments, without cameras.
 
     Its model is compiled once (``hard_reset=False``), so that every episode has the
@@ -111,11 +117,13 @@ def make_plain(name: str, *, seed: int = 0, **options: Any) -> Any:
     Args:
         name: robosuite's name, ``Lift``.
         seed: Draws the sizes of objects.
+        effects: Effects to add to the model.
         options: robosuite's own, such as ``robots="UR5e"``.
 
     Raises:
         UnknownNameError: If robosuite has no such environment.
-        RlcoError: If an option is one that is decided here.
+        RlcoError: If an option is one that is decided here, or an effect cannot be
+            applied.
 
     Example:
         >>> make_plain("Lift", robots="UR5e").action_dim
@@ -130,5 +138,35 @@ def make_plain(name: str, *, seed: int = 0, **options: Any) -> Any:
                 f"{option}={options[option]!r} is not allowed for {PREFIX}{name}; "
                 f"leave it out, it is {_FIXED[option]!r}."
             )
+    kind = robosuite.environments.REGISTERED_ENVS[name]
+    env = kind.__new__(kind)
+    if effects is not None:
+        # robosuite's constructor compiles the model by this method.
+        env._initialize_sim = _WithEffects(env, effects)
     with seeded(seed):
-        return robosuite.make(name, **{**_DEFAULTS, **options, **_FIXED})
+        env.__init__(**{**_DEFAULTS, **options, **_FIXED})
+    return env
+
+
+class _WithEffects:
+    """Takes the place of an environment's ``_initialize_sim``."""
+
+    def __init__(self, env: Any, effects: EffectsFile) -> None:
+        self._env, self._effects = env, effects
+
+    def __call__(self, xml_string: str | None = None) -> None:
+        del xml_string  # robosuite's signature; here the model is always its own
+        initialize_with(self._env, self._effects)
+        mended = self._env.sim.mended
+        if not np.array_equal(mended.told, without_effects(mended.model).told):
+            wrong = next(
+                effect
+                for effect in mended.effects
+                if library_effect(effect.name).on_measurement is not None
+            )
+            raise EffectError(
+                wrong.name,
+                wrong.target,
+                "robosuite's own observations read the true joints",
+                "leave it out, or give one of rlco's tasks",
+            )

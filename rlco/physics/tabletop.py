@@ -7,6 +7,7 @@ the rules, a domain what differs from the simulator as built.
 from __future__ import annotations
 
 from collections import deque
+from dataclasses import replace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -14,6 +15,8 @@ import numpy as np
 
 from rlco.physics.camera import move_camera
 from rlco.physics.domain import Domain, make_domain
+from rlco.physics.effect_sim import BelievedSim, EffectSim, initialize_with
+from rlco.physics.effects.effects_file import EffectsFile
 from rlco.physics.quiet_robosuite import (
     ManipulationEnv,
     ManipulationTask,
@@ -37,6 +40,10 @@ class Tabletop(ManipulationEnv):
         domain: What differs from the simulator as built.
         image_size: Height and width of ``agentview`` frames; None: no rendering.
         variation: A named variation of the scene.
+        effects: Effects to add to the model.
+
+    Raises:
+        RlcoError: If an effect cannot be applied; names it.
     """
 
     def __init__(
@@ -46,10 +53,12 @@ class Tabletop(ManipulationEnv):
         *,
         image_size: tuple[int, int] | None = None,
         variation: str | None = None,
+        effects: EffectsFile | None = None,
     ) -> None:
         self.task = task
         self.domain = domain
         self.variation = variation
+        self.effects = effects
         self.initial: InitialState | None = None
         self._delayed: deque[Array] = deque()
         config = load_composite_controller_config(controller="BASIC", robot="Panda")
@@ -106,7 +115,10 @@ class Tabletop(ManipulationEnv):
             )
 
     def _initialize_sim(self, xml_string: str | None = None) -> None:
-        super()._initialize_sim(xml_string)
+        if self.effects is None:
+            super()._initialize_sim(xml_string)
+        else:
+            initialize_with(self, self.effects)
         # What its pictures show agrees with the positions that it reports.
         move_camera(
             self.sim.model._model, self.domain.camera_yaw, self.domain.camera_shift
@@ -160,9 +172,13 @@ class Tabletop(ManipulationEnv):
         data._data.mocap_quat[self.mocap_ids] = self.initial.goal_orientation()
         data.qpos[self.fixture_qpos] = self.initial.fixture_opening()
         # Also moves the controller's goal and null-space posture to the new pose.
-        robot.part_controllers["right"].update_initial_joints(
-            self.initial.joint_position
-        )
+        joints = self.initial.joint_position
+        if (believed := self._believed()) is not None:
+            joints = believed.tell(data.qpos)[robot._ref_arm_joint_pos_indexes]
+        robot.part_controllers["right"].update_initial_joints(joints)
+
+    def _believed(self) -> BelievedSim | None:
+        return self.sim.believed if isinstance(self.sim, EffectSim) else None
 
     def step(self, action: Array) -> Any:
         """Execute one control step, `command_delay` steps after its command."""
@@ -187,6 +203,22 @@ class Tabletop(ManipulationEnv):
             goal_position=self.initial.goal_position.copy(),
             goal_quaternion=self.initial.goal_orientation().copy(),
             instruction_id=np.asarray(self.initial.instruction_id),
+        )
+
+    def reported_state(self) -> SceneState:
+        """Return the state with the robot where its encoders tell that it is."""
+        state, believed = self.scene_state(), self._believed()
+        if believed is None:
+            return state
+        data, robot = believed.data, self.robots[0]
+        site = robot.eef_site_id["right"]
+        return replace(
+            state,
+            tool_position=data.site_xpos[site].copy(),
+            tool_rotation=data.site_xmat[site].reshape(3, 3).copy(),
+            joint_position=believed.tell(self.sim.data.qpos)[
+                robot._ref_arm_joint_pos_indexes
+            ],
         )
 
     def reward(self, action: Array | None = None) -> float:

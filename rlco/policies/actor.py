@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, Literal, Protocol, runtime_checkable
+from typing import Any, ClassVar, Protocol, runtime_checkable
 
 import torch
 from tensordict import TensorDictBase
-
-#: The per-step imitation losses that policies may offer.
-Imitation = Literal["mse", "nll"]
 
 
 @runtime_checkable
@@ -27,6 +24,9 @@ class Actor(Protocol):
             PPO losses read this name and set their ``action`` key to it.
         log_prob_keys: the entry that holds the sample's log-probability; TorchRL's
             PPO losses set their ``sample_log_prob`` key to it.
+        replay_keys: the entries of a rollout that ``get_dist`` reads beside
+            ``in_keys``: the sample, and whatever else it takes to compute the
+            log-probability again.
     """
 
     kind: ClassVar[str]
@@ -35,6 +35,7 @@ class Actor(Protocol):
     out_keys: list[Any]
     dist_sample_keys: list[Any]
     log_prob_keys: list[Any]
+    replay_keys: list[Any]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write the sample, its log-probability [B] and the raw actions [B, H, A]."""
@@ -42,8 +43,9 @@ class Actor(Protocol):
     def get_dist(self, tensordict: TensorDictBase) -> torch.distributions.Distribution:
         """Return the distribution whose ``log_prob(sample)`` and ``entropy()`` are [B].
 
-        Each covers one whole decision: the sum over the chunk's steps and numbers,
-        in the normalised action space.
+        Each covers one whole decision, in the normalised action space; how its parts
+        are summed up is the policy's option. Where the parts of a sample depend on
+        each other the batch must hold the sample, and the density is that sample's.
         """
 
     def imitation_loss(self, tensordict: TensorDictBase) -> torch.Tensor:

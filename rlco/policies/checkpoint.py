@@ -14,7 +14,7 @@ from safetensors.torch import load_file, save_file
 from torch import nn
 
 from rlco.errors import CheckpointError, RlcoError
-from rlco.policies.gaussian import GaussianPolicy
+from rlco.policies.chunk_policy import ChunkPolicy
 from rlco.policies.registry import make_policy
 
 WEIGHTS = "policy.safetensors"
@@ -23,7 +23,7 @@ _FIELDS = ("kind", "arguments", "rlco", "extra")
 
 
 def save_policy(
-    policy: GaussianPolicy,
+    policy: ChunkPolicy,
     folder: str | os.PathLike[str],
     *,
     extra: dict[str, Any] | None = None,
@@ -70,7 +70,7 @@ def save_policy(
 
 def load_policy(
     folder: str | os.PathLike[str],
-) -> tuple[GaussianPolicy, dict[str, Any]]:
+) -> tuple[ChunkPolicy, dict[str, Any]]:
     """Return the policy in ``folder``, and the ``extra`` that was saved with it.
 
     Raises:

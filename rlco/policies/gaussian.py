@@ -4,28 +4,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any, ClassVar, get_args
+from typing import Any, ClassVar, Literal, get_args
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import InteractionType, TensorDictModuleBase
-from tensordict.nn.probabilistic import interaction_type
 from torch import nn
 from torch.distributions import Distribution, Independent, Normal
 
-from rlco.errors import ConfigError, DataError
-from rlco.keys import ACTION, CHUNK, LOG_PROB, SAMPLE
-from rlco.policies.actor import Imitation
-from rlco.policies.encoder import ObservationEncoder, Quantiles, read
+from rlco.errors import ConfigError
+from rlco.keys import LOG_PROB, SAMPLE
+from rlco.policies.chunk_policy import ChunkPolicy
 from rlco.policies.mlp import Activation, Mlp
-from rlco.policies.normalizer import QuantileNormalizer
 
-#: An action number that moved less than this in the demonstrations (raw units; the
-#: limits are 2 apart) keeps this range: see :class:`GaussianPolicy`.
-MIN_ACTION_RANGE = 0.2
+#: The per-step imitation losses that it offers.
+Imitation = Literal["mse", "nll"]
 #: A learned standard deviation stays within this, in the normalised action space.
 STD_LIMITS = (0.01, 1.0)
-_SAMPLED = (None, InteractionType.RANDOM)
 
 
 class _Std(nn.Module):
@@ -55,19 +49,15 @@ class _Std(nn.Module):
         return log_std.exp()
 
 
-class GaussianPolicy(TensorDictModuleBase):
+class GaussianPolicy(ChunkPolicy):
     """Independent Gaussians about a chunk that a multi-layer perceptron proposes.
 
-    Mean [B, H, A] and sample live in the normalised action space, where the 1 % and
-    99 % quantiles of the demonstrated actions are -1 and 1, and so do all
-    log-probabilities. Raw actions are the un-normalised sample, clipped to the action
-    limits [-1, 1]; the sample itself is not clipped, for its density to stay Gaussian.
-
-    An action number that hardly moves in the demonstrations is not squeezed onto its
-    one value: its range is widened to ``MIN_ACTION_RANGE`` = 0.2 about that value.
-    The mean is unbounded, so the policy still reaches every raw action there;
-    exploration only stays small (a standard deviation of 0.2 is 0.02 raw), as noise in
-    a rotation that no demonstration uses would add up over an episode.
+    Mean [B, H, A], sample and log-probabilities live in the normalised action space,
+    see :class:`rlco.policies.ChunkPolicy`. Raw actions are the un-normalised sample,
+    clipped to the action limits [-1, 1]; the sample itself is not clipped, for its
+    density to stay Gaussian. The mean is unbounded, so the policy reaches every raw
+    action, also of a number that hardly moves in the demonstrations; a standard
+    deviation of 0.2 is 0.02 raw there.
 
     Called, it writes ``("vla_action", "sample")`` [B, H, A], normalised,
     ``("vla_action", "log_probs")`` [B], ``("vla_action", "chunk")`` and ``action``
@@ -123,15 +113,16 @@ class GaussianPolicy(TensorDictModuleBase):
         learn_std: bool = False,
         imitation: Imitation = "mse",
     ) -> None:
-        super().__init__()
+        super().__init__(
+            state_size,
+            chunk=chunk,
+            action_size=action_size,
+            environment_state_size=environment_state_size,
+            num_instructions=num_instructions,
+        )
         stds = (std,) * action_size if isinstance(std, (int, float)) else tuple(std)
-        _check(chunk, action_size, stds, imitation)
-        self.arguments: dict[str, Any] = {
-            "state_size": state_size,
-            "chunk": chunk,
-            "action_size": action_size,
-            "environment_state_size": environment_state_size,
-            "num_instructions": num_instructions,
+        _check(action_size, stds, imitation)
+        self.arguments |= {
             "hidden": list(hidden),
             "activation": activation,
             "layer_norm": layer_norm,
@@ -139,10 +130,7 @@ class GaussianPolicy(TensorDictModuleBase):
             "learn_std": learn_std,
             "imitation": imitation,
         }
-        self.chunk, self.action_size, self.imitation = chunk, action_size, imitation
-        self.encoder = ObservationEncoder(
-            state_size, environment_state_size, num_instructions
-        )
+        self.imitation = imitation
         # A small gain: the first chunk is the middle of the demonstrated actions.
         self.network = Mlp(
             self.encoder.size,
@@ -153,34 +141,6 @@ class GaussianPolicy(TensorDictModuleBase):
             gain=0.01,
         )
         self.std = _Std(stds, learned=learn_std)
-        self.action_normalizer = QuantileNormalizer(
-            action_size, name="action", min_range=MIN_ACTION_RANGE
-        )
-        self.in_keys = self.encoder.in_keys
-        self.dist_sample_keys: list[Any] = [SAMPLE]
-        self.log_prob_keys: list[Any] = [LOG_PROB]
-        self.out_keys = [SAMPLE, LOG_PROB, CHUNK, ACTION]
-
-    def set_normalization(
-        self,
-        *,
-        state: Quantiles | None = None,
-        environment_state: Quantiles | None = None,
-        action: Quantiles | None = None,
-    ) -> None:
-        """Fix the normalisation, once, before Stage I, from quantiles (low, high).
-
-        Args:
-            state: quantiles of the state, each of shape (state_size,), raw units.
-            environment_state: quantiles of the environment state.
-            action: quantiles of the action numbers, each of shape (action_size,).
-
-        Raises:
-            DataError: quantiles of another size, not finite, or of what is not read.
-        """
-        self.encoder.set_normalization(state=state, environment_state=environment_state)
-        if action is not None:
-            self.action_normalizer.set_quantiles(*action)
 
     def get_dist(self, tensordict: TensorDictBase) -> Distribution:
         """Return the distribution of the sample; ``log_prob`` and ``entropy`` are [B].
@@ -198,12 +158,10 @@ class GaussianPolicy(TensorDictModuleBase):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write sample, log-probability, chunk and action into ``tensordict``."""
         dist = self.get_dist(tensordict)
-        sample = dist.sample() if interaction_type() in _SAMPLED else dist.mean
-        raw = self.action_normalizer.inverse(sample).clamp(-1.0, 1.0)
+        sample = dist.sample() if self.explores else dist.mean
         tensordict.set(SAMPLE, sample)
         tensordict.set(LOG_PROB, dist.log_prob(sample))
-        tensordict.set(CHUNK, raw)
-        tensordict.set(ACTION, raw)
+        self.act(tensordict, sample)
         return tensordict
 
     def imitation_loss(self, tensordict: TensorDictBase) -> torch.Tensor:
@@ -215,27 +173,16 @@ class GaussianPolicy(TensorDictModuleBase):
         Raises:
             DataError: the chunk is missing or of another shape than the policy's.
         """
-        target = self.action_normalizer(read(tensordict, CHUNK))
+        target = self.demonstrated(tensordict)
         normal: Distribution = self._normal(tensordict)
-        if target.shape != normal.mean.shape:
-            raise DataError(
-                f"demonstrated chunks have shape {tuple(target.shape)}, the policy's "
-                f"{tuple(normal.mean.shape)}; build both with the same chunk length."
-            )
         if self.imitation == "mse":
             error: torch.Tensor = normal.mean - target
             return error.square().mean(-1)
         return -normal.log_prob(target).sum(-1)
 
 
-def _check(
-    chunk: int, action_size: int, stds: tuple[float, ...], imitation: str
-) -> None:
+def _check(action_size: int, stds: tuple[float, ...], imitation: str) -> None:
     problems = []
-    if chunk < 1 or action_size < 1:
-        problems.append(
-            f"chunk={chunk} and action_size={action_size} must be at least 1"
-        )
     if len(stds) != action_size or not all(
         math.isfinite(std) and std > 0 for std in stds
     ):

@@ -5,16 +5,21 @@ from __future__ import annotations
 from typing import Any
 
 from rlco.errors import UnknownNameError
+from rlco.policies.chunk_policy import ChunkPolicy
+from rlco.policies.flow import FlowPolicy
 from rlco.policies.gaussian import GaussianPolicy
+from rlco.policies.token import TokenPolicy
 
-_KINDS: dict[str, type[GaussianPolicy]] = {GaussianPolicy.kind: GaussianPolicy}
+_KINDS: dict[str, type[ChunkPolicy]] = {
+    policy.kind: policy for policy in (GaussianPolicy, TokenPolicy, FlowPolicy)
+}
 
 
-def make_policy(kind: str, **arguments: Any) -> GaussianPolicy:
+def make_policy(kind: str, **arguments: Any) -> Any:
     """Build a policy by its kind's name.
 
     Args:
-        kind: "gaussian".
+        kind: "gaussian", "token" or "flow".
         **arguments: the constructor's.
 
     Raises:
