@@ -66,7 +66,7 @@ def address_of(array: NDArray[Any]) -> int:
     return int(array.__array_interface__["data"][0])
 
 
-@cfunc("void(voidptr)", cache=True)  # type: ignore[untyped-decorator]
+@cfunc("void(voidptr)", cache=True)
 def _ignore(message: Any) -> None:
     """Do nothing: MuJoCo also counts its warnings in the ``mjData``."""
 

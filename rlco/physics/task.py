@@ -150,17 +150,29 @@ class Task:
     fixture_joints: tuple[str, ...] = ()
     variations: tuple[str, ...] = ()
 
+    @property
+    def state_names(self) -> tuple[str, ...]:
+        """One name a number of `state`."""
+        from rlco.physics.observation import STATE_NAMES
+
+        return STATE_NAMES
+
+    @property
+    def action_names(self) -> tuple[str, ...]:
+        """One name a number of an action."""
+        from rlco.physics.observation import ACTION_NAMES
+
+        return ACTION_NAMES
+
     def description(self) -> dict[str, Any]:
         """Return what a policy's user must know of the task, in types of JSON."""
-        from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
-
         return {
             "task": self.name,
             "instructions": list(self.instructions),
             "control_frequency": self.control_frequency,
-            "state_names": list(STATE_NAMES),
+            "state_names": list(self.state_names),
             "environment_state_names": list(self.environment_state_names),
-            "action_names": list(ACTION_NAMES),
+            "action_names": list(self.action_names),
         }
 
     def reward(self, before: SceneState, after: SceneState, kind: str) -> Array:

@@ -238,7 +238,7 @@ def test_both_backends_report_the_same(domain: str) -> None:
         ({"horizon": -3}, "horizon=-3 is not allowed; give 1 or more"),
         ({"seed": -1}, "seed=-1 is not allowed; give 0 or more"),
         ({"image_size": (0, 64)}, r"image_size=\(0, 64\) is not allowed"),
-        ({"effects": {"lag": 1}}, "effects= is not supported yet"),
+        ({"effects": {"lag": 1}}, "give the path of an effects.yaml, or a list"),
     ],
 )
 def test_wrong_arguments_are_refused_in_one_sentence(

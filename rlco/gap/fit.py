@@ -1,0 +1,214 @@
+"""Fitting the numbers of many hypotheses at once, within bounds.
+
+Damped Gauss-Newton steps with forward differences. All hypotheses take their step at
+the same time, so that their simulations form one batch for the threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import lsq_linear
+
+from rlco.gap.log import Array
+from rlco.gap.problem import Candidate, Problem
+from rlco.physics.effects import EFFECTS, AppliedEffect, Parameter
+
+# Weighted residuals of each list of effects, (lists, N).
+Weigh = Callable[[Sequence[tuple[AppliedEffect, ...]]], Array]
+# The parameters of each effect at each target that may be hypothesised.
+Library = Mapping[Candidate, tuple[Parameter, ...]]
+_LENGTHS = (1.0, 0.35)  # parts of a Gauss-Newton step that are tried
+
+
+@dataclass(frozen=True)
+class Fit:
+    """Effects with the numbers that fit best.
+
+    Attributes:
+        effects: The effects.
+        cost: Mean square of the weighted residual; 1 at the noise floor.
+        jacobian: Change of the weighted residual a unit of each number, before the
+            last step, (numbers, N).
+        residual: The weighted residual, (N,).
+    """
+
+    effects: tuple[AppliedEffect, ...]
+    cost: float
+    jacobian: Array
+    residual: Array
+
+
+def library_of(problem: Problem, exclude: Collection[str] = ()) -> Library:
+    """Return what may be hypothesised, with the parameters of each.
+
+    Args:
+        problem: The robot and its log.
+        exclude: Names of effects to leave out.
+    """
+    return {
+        candidate: EFFECTS[candidate.name].parameters(problem.model, candidate.target)
+        for candidate in problem.candidates()
+        if candidate.name not in exclude
+    }
+
+
+def with_values(
+    library: Library, candidates: Sequence[Candidate], values: Array
+) -> tuple[AppliedEffect, ...]:
+    """Return effects with numbers, taken from one row of all their numbers."""
+    effects, at = [], 0
+    for candidate in candidates:
+        known = library[candidate]
+        numbers = {p.name: float(values[at + i]) for i, p in enumerate(known)}
+        effects.append(AppliedEffect(candidate.name, candidate.target, numbers))
+        at += len(known)
+    return tuple(effects)
+
+
+def candidates_of(effects: Sequence[AppliedEffect]) -> tuple[Candidate, ...]:
+    """Return what effects are of, without their numbers."""
+    return tuple(Candidate(effect.name, effect.target) for effect in effects)
+
+
+class _Running:
+    """One hypothesis on its way to its best numbers."""
+
+    def __init__(self, library: Library, effects: Sequence[AppliedEffect]) -> None:
+        self.library = library
+        self.candidates = candidates_of(effects)
+        known = [p for c in self.candidates for p in library[c]]
+        self.low = np.array([p.low for p in known])
+        self.high = np.array([p.high for p in known])
+        sizes = [
+            max(abs(start - p.neutral) for start in p.starts) or 0.1 * (p.high - p.low)
+            for p in known
+        ]
+        self.size = np.array(sizes)
+        self.resolution = np.array([p.resolution for p in known])
+        values = [v for effect in effects for v in effect.parameters.values()]
+        self.values = np.clip(np.array(values, dtype=float), self.low, self.high)
+        self.residual = np.zeros(0)
+        self.cost = np.inf
+        self.jacobian = np.zeros((0, 0))
+        self.done = False
+
+    def effects(self, values: Array) -> tuple[AppliedEffect, ...]:
+        return with_values(self.library, self.candidates, values)
+
+    def differences(self) -> Array:
+        """Steps of the forward differences, towards the inside of the bounds."""
+        step = 0.02 * np.maximum(self.size * 0.25, np.abs(self.values) * 0.5)
+        step = np.minimum(step, 0.25 * (self.high - self.low))
+        return np.where(self.values + step > self.high, -step, step)
+
+    def trials(self) -> list[Array]:
+        unit = self.size
+        scaled = self.jacobian * unit[:, None]
+        # A little damping (Marquardt 1963): numbers that do the same share the step.
+        ridge = np.maximum(1e-3 * np.linalg.norm(scaled, axis=1), 1e-12)
+        rows = np.concatenate([scaled.T, np.diag(ridge)])
+        goal = np.concatenate([-self.residual, np.zeros(len(unit))])
+        _, triangle = np.linalg.qr(np.column_stack([rows, goal]))
+        bounds = (self.low - self.values) / unit, (self.high - self.values) / unit
+        bounds = (np.minimum(bounds[0], -1e-9), np.maximum(bounds[1], 1e-9))
+        step = lsq_linear(triangle[:, :-1], triangle[:, -1], bounds).x * unit
+        found = [self.values + part * step for part in _LENGTHS]
+        for i in np.flatnonzero(self.resolution):
+            jumps = self.resolution[i] * np.array([-4, -2, -1, 1, 2, 4])
+            found += [self.values + jump * np.eye(len(unit))[i] for jump in jumps]
+        return [np.clip(values, self.low, self.high) for values in found]
+
+
+def fit(
+    library: Library,
+    starts: Sequence[Sequence[AppliedEffect]],
+    weigh: Weigh,
+    *,
+    steps: int = 6,
+    tolerance: float = 2e-3,
+) -> list[Fit]:
+    """Return the best fit from each start, in the order of the starts.
+
+    Args:
+        library: Parameters of each candidate, for bounds.
+        starts: Effects with the numbers to start from.
+        weigh: Weighted residuals of many lists of effects, (lists, N).
+        steps: At most this many Gauss-Newton steps.
+        tolerance: Stop when a step lowers the cost by less than this part.
+    """
+    running = [_Running(library, effects) for effects in starts]
+    if not running:
+        return []
+    for one, residual in zip(
+        running, weigh([one.effects(one.values) for one in running]), strict=True
+    ):
+        one.residual, one.cost = residual, _cost(residual)
+    for _ in range(steps):
+        moving = [one for one in running if not one.done]
+        if not moving:
+            break
+        _differentiate(moving, weigh)
+        _step(moving, weigh, tolerance)
+    return [
+        Fit(one.effects(one.values), one.cost, one.jacobian, one.residual)
+        for one in running
+    ]
+
+
+def linearise(library: Library, effects: Sequence[AppliedEffect], weigh: Weigh) -> Fit:
+    """Return a list of effects as a fit, with differences where it stands."""
+    one = _Running(library, effects)
+    one.residual = weigh([tuple(effects)])[0]
+    if effects:
+        _differentiate([one], weigh)
+    else:
+        one.jacobian = np.zeros((0, len(one.residual)))
+    return Fit(tuple(effects), _cost(one.residual), one.jacobian, one.residual)
+
+
+def _cost(residual: Array) -> float:
+    return float(np.mean(residual**2)) if np.isfinite(residual).all() else np.inf
+
+
+def _differentiate(moving: list[_Running], weigh: Weigh) -> None:
+    lists, owners = [], []
+    for one in moving:
+        steps = one.differences()
+        for i, step in enumerate(steps):
+            if one.resolution[i]:
+                continue  # what jumps has no slope
+            values = one.values.copy()
+            values[i] += step
+            lists.append(one.effects(values))
+            owners.append((one, i, step))
+        one.jacobian = np.zeros((len(steps), len(one.residual)))
+    if not lists:
+        return
+    for (one, i, step), residual in zip(owners, weigh(lists), strict=True):
+        if np.isfinite(residual).all():
+            one.jacobian[i] = (residual - one.residual) / step
+
+
+def _step(moving: list[_Running], weigh: Weigh, tolerance: float) -> None:
+    lists, owners = [], []
+    for one in moving:
+        if not np.isfinite(one.cost):
+            one.done = True
+            continue
+        for values in one.trials():
+            lists.append(one.effects(values))
+            owners.append((one, values))
+    before = {id(one): one.cost for one in moving}
+    if not lists:
+        return
+    for (one, values), residual in zip(owners, weigh(lists), strict=True):
+        cost = _cost(residual)
+        if cost < one.cost:
+            one.cost, one.residual, one.values = cost, residual, values
+    for one in moving:
+        gain = before[id(one)] - one.cost
+        if not gain > tolerance * max(one.cost, 1e-12):
+            one.done = True

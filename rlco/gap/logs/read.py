@@ -1,0 +1,139 @@
+"""Reading a log: what lies there decides how it is read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from rlco.errors import DataError
+from rlco.gap.log import Log
+from rlco.gap.logs.assemble import assemble
+from rlco.gap.logs.bam_files import is_bam, read_bam
+from rlco.gap.logs.checks import check_log
+from rlco.gap.logs.csv_files import read_csv
+from rlco.gap.logs.lengths import to_metres
+from rlco.gap.logs.lerobot_folders import read_lerobot
+from rlco.gap.logs.matching import few
+from rlco.gap.logs.npz_files import read_npz
+from rlco.gap.logs.rosbags import read_rosbag
+from rlco.gap.logs.table import Table
+from rlco.gap.model import LoadedModel
+from rlco.gap.timing import mend_timing
+from rlco.gap.units import to_radians
+
+_FORMATS = "a LeRobot folder, CSV, NPZ, a rosbag2 (.db3) or BAM's JSON"
+_SUFFIXES = (".csv", ".npz", ".db3", ".json")
+
+
+def read_log(
+    path: str | Path,
+    model: LoadedModel | None = None,
+    *,
+    rename: Mapping[str, str] | None = None,
+    angles: str | None = None,
+) -> Log:
+    """Read a robot's recordings, check them, and put them in the model's order.
+
+    What is read:
+
+    - A LeRobot data set, v2.1 or v3: ``observation.state`` (joint positions, named as
+      the model's joints), ``observation.velocity``, ``observation.effort`` or
+      ``observation.torque``, and ``action`` (named as its actuators).
+    - CSV with a header, and NPZ: see `rlco.gap.logs.headers` for the names, such as
+      ``time,q1,q2,dq1,dq2,tau1,tau2`` or ``time_ms,elbow,cmd_elbow``.
+    - A free body's pose: ``x,y,z,qw,qx,qy,qz``.
+    - ``sensor_msgs/JointState`` of a rosbag2 (``.db3``).
+    - BAM's JSON.
+
+    A folder of several CSV, NPZ, ``.db3`` or JSON files is that many recordings.
+
+    Args:
+        path: A file or a folder.
+        model: The robot's model; without, joints are named as in the log and nothing
+            is checked against ranges.
+        rename: ``{name in the log: name in the model}`` for joints, actuators,
+            columns, or features of a LeRobot data set; ``-`` leaves out.
+        angles: ``degrees`` or ``radians`` where it is known; None to detect it.
+
+    Returns:
+        The log, in SI units, with a note of all that was noticed and mended.
+
+    Raises:
+        DataError: The log cannot be used as it is; says why and what to do.
+        UnknownNameError: `angles` is another word.
+    """
+    path = Path(path)
+    rename = dict(rename or {})
+    if not path.exists():
+        raise DataError(f"log {str(path)!r} does not exist; give {_FORMATS}.")
+    if (path / "meta").is_dir():
+        tables, rename = read_lerobot(path, model, rename)
+    else:
+        tables = [table for file in _files(path) for table in _read(file, model)]
+    log = _mended(assemble(tables, model, rename))
+    angles = angles or _told_angles(tables)
+    log = to_radians(log, None if model is None else model.model, angles)
+    if log.body is not None and model is not None:
+        log = to_metres(log, model.model)
+    return replace(log, notes=(*log.notes, *check_log(log, model)))
+
+
+def _files(path: Path) -> list[Path]:
+    """Return the files of one format that a path names or holds."""
+    if path.is_file():
+        if path.suffix.lower() not in _SUFFIXES:
+            raise DataError(
+                f"log {str(path)!r} is of no known format; give {_FORMATS}."
+            )
+        return [path]
+    found = {
+        suffix: sorted(p for p in path.iterdir() if p.suffix.lower() == suffix)
+        for suffix in _SUFFIXES
+    }
+    # JSON beside other files describes them.
+    found[".json"] = [file for file in found[".json"] if is_bam(file)]
+    there = {suffix: files for suffix, files in found.items() if files}
+    if len(there) > 1:
+        counts = [f"{len(files)} {suffix}" for suffix, files in there.items()]
+        raise DataError(
+            f"folder {str(path)!r} holds files of several formats ({few(counts)}); "
+            "give one file, or a folder of one format."
+        )
+    if not there:
+        inside = sorted(p.name for p in path.iterdir())
+        raise DataError(
+            f"folder {str(path)!r} holds no log ({few(inside) or 'it is empty'}); give "
+            f"{_FORMATS}."
+        )
+    return next(iter(there.values()))
+
+
+def _read(file: Path, model: LoadedModel | None) -> list[Table]:
+    suffix = file.suffix.lower()
+    if suffix == ".csv":
+        return read_csv(file, model)
+    if suffix == ".npz":
+        return read_npz(file, model)
+    return read_rosbag(file) if suffix == ".db3" else read_bam(file)
+
+
+def _told_angles(tables: Sequence[Table]) -> str | None:
+    """Return the unit of angles that the headers give, where they give one."""
+    told = {column.angles for table in tables for column, _ in table.columns}
+    units = [unit for unit in told if unit is not None]
+    return units[0] if len(units) == 1 else None
+
+
+def _mended(log: Log) -> Log:
+    mended = [mend_timing(recording) for recording in log.recordings]
+    parts = tuple(part for one in mended for part in one.parts)
+    notes = [note for one in mended for note in one.notes]
+    if not parts:
+        raise DataError(f"no part of the log is whole: {few(notes, 2)}")
+    return replace(log, recordings=parts, notes=(*log.notes, *_few_notes(notes)))
+
+
+def _few_notes(notes: Sequence[str], most: int = 12) -> list[str]:
+    more = len(notes) - most
+    return [*notes[:most], *([f"{more} more notes like these."] if more > 0 else [])]

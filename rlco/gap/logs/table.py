@@ -1,0 +1,75 @@
+"""One recording as its file has it, before its columns are matched to a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from rlco.errors import DataError
+from rlco.gap.log import Array
+
+Kind = Literal["position", "velocity", "command", "torque", "pose", "extra"]
+Angles = Literal["degrees", "radians"]
+
+
+@dataclass(frozen=True)
+class Column:
+    """What a column is told to be.
+
+    Attributes:
+        kind: What was measured or sent.
+        stem: Whose: a joint's or an actuator's name, a number that says which, or
+            empty where there is only one; of a pose the axis, such as ``x``.
+        header: The column's name in the file, for messages.
+        angles: The unit of angles that the header gives, where it gives one.
+    """
+
+    kind: Kind
+    stem: str
+    header: str
+    angles: Angles | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """One recording as its file has it.
+
+    Attributes:
+        name: For messages and reports.
+        time: Seconds, (T,) [s].
+        columns: The columns with their values, (T,) each.
+        facts: Numbers that hold for the whole recording.
+        notes: What was noticed while reading, one sentence each.
+    """
+
+    name: str
+    time: Array
+    columns: tuple[tuple[Column, Array], ...]
+    facts: Mapping[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+
+    def of_kind(self, kind: Kind) -> dict[str, Array]:
+        """Return the columns of a kind by their stems."""
+        return {c.stem: values for c, values in self.columns if c.kind == kind}
+
+
+def require_finite(where: str, header: str, values: Array, time: Array | None) -> None:
+    """Raise where a column has a number that is none.
+
+    Raises:
+        DataError: Names the column and the first such row.
+    """
+    bad = ~np.isfinite(values)
+    if not bad.any():
+        return
+    row = int(bad.argmax())
+    known = time is not None and bool(np.isfinite(time[row]))
+    when = f" at {time[row]:.3f} s" if known and time is not None else ""
+    raise DataError(
+        f"column {header!r} of {where} is NaN, infinite or empty in {int(bad.sum())} "
+        f"of {len(values)} rows, first in row {row + 1}{when}; mend it, or leave the "
+        "column or these rows out."
+    )

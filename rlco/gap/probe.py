@@ -1,0 +1,152 @@
+"""A first look at every effect: what a typical size of each would change.
+
+One simulation a number and start gives columns; how much of the residual they span is
+a first, linear guess of what fitting the effect would explain, for hundreds of effects
+in the time of a few fits.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from rlco.gap.fit import Library, Weigh, with_values
+from rlco.gap.log import Array
+from rlco.gap.problem import Candidate
+from rlco.physics.effects import AppliedEffect
+
+
+@dataclass(frozen=True)
+class Probe:
+    """What one start of an effect changes.
+
+    Attributes:
+        candidate: The effect and its target.
+        values: The numbers simulated, (numbers,).
+        neutral: Where they do nothing, (numbers,).
+        columns: Change of the weighted residual, orthonormal, (directions, N).
+        first: The change that the start itself makes, not normalised, (N,).
+        one_sided: Whether only a positive amount of `first` makes sense.
+    """
+
+    candidate: Candidate
+    values: Array
+    neutral: Array
+    columns: Array
+    first: Array
+    one_sided: bool
+
+
+def probe(
+    library: Library,
+    candidates: Sequence[Candidate],
+    present: tuple[AppliedEffect, ...],
+    residual: Array,
+    weigh: Weigh,
+) -> list[Probe]:
+    """Simulate each start of each candidate beside the effects that are present.
+
+    Args:
+        library: Parameters of each candidate.
+        candidates: Those to probe.
+        present: Effects that act already.
+        residual: Their weighted residual, (N,).
+        weigh: Weighted residuals of many lists of effects, (lists, N).
+    """
+    plans: list[tuple[Candidate, Array, list[Array]]] = []
+    for candidate in candidates:
+        plans += [(candidate, *plan) for plan in _plans(library, candidate)]
+    lists = [
+        present + with_values(library, [candidate], values)
+        for candidate, _, rows in plans
+        for values in rows
+    ]
+    if not lists:
+        return []
+    changes = weigh(lists) - residual
+    probes, at = [], 0
+    for candidate, values, rows in plans:
+        change = changes[at : at + len(rows)]
+        at += len(rows)
+        # The first row is the start; the others are the start with a number changed.
+        change = np.concatenate([change[:1], change[1:] - change[:1]])
+        sizes = np.linalg.norm(change, axis=1)
+        if not np.isfinite(sizes).all() or sizes[0] == 0.0:
+            continue
+        known = library[candidate]
+        neutral = np.array([p.neutral for p in known])
+        columns = _orthonormal(change[sizes > 1e-9 * sizes.max()])
+        one_sided = known[0].low >= known[0].neutral
+        probes.append(Probe(candidate, values, neutral, columns, change[0], one_sided))
+    return probes
+
+
+def _plans(library: Library, candidate: Candidate) -> list[tuple[Array, list[Array]]]:
+    """Starts of an effect, each with the rows of numbers to simulate."""
+    known = library[candidate]
+    plans = []
+    for start in known[0].starts:
+        values = np.array([start] + [p.starts[0] for p in known[1:]])
+        rows = [values]
+        for i, parameter in enumerate(known[1:], 1):
+            changed = values.copy()
+            span = parameter.high - parameter.low
+            changed[i] = parameter.starts[-1]
+            if changed[i] == values[i]:
+                changed[i] += 0.15 * span
+            rows.append(changed)
+        plans.append((values, rows))
+    return plans
+
+
+def _orthonormal(columns: Array) -> Array:
+    basis, triangle = np.linalg.qr(columns.T)
+    size = np.abs(np.diag(triangle))
+    return np.ascontiguousarray(basis[:, size > 1e-6 * size.max()].T)
+
+
+def explained(one: Probe, residual: Array, beside: Array) -> float:
+    """Return by how much a probe lowers the mean square of a residual, linearly.
+
+    Args:
+        one: The probe.
+        residual: What is left to explain, (N,), orthogonal to `beside`.
+        beside: Orthonormal directions that are explained already, (directions, N).
+    """
+    columns = one.columns
+    if len(beside):
+        columns = columns - (columns @ beside.T) @ beside
+        size = np.linalg.norm(columns, axis=1)
+        columns = columns[size > 1e-3]
+        if not len(columns):
+            return 0.0
+        columns = _orthonormal(columns)
+    along = columns @ residual
+    if one.one_sided and one.first @ residual > 0.0 and len(columns) == 1:
+        return 0.0
+    return float(along @ along) / len(residual)
+
+
+def start_of(
+    library: Library, one: Probe, residual: Array
+) -> tuple[AppliedEffect, ...]:
+    """Return a probed effect in the amount that fits a residual best, for a fit.
+
+    Args:
+        library: Parameters of each candidate.
+        one: The probe.
+        residual: The weighted residual without the effect, (N,).
+    """
+    amount = -float(one.first @ residual) / float(one.first @ one.first)
+    amount = float(np.clip(amount, -3.0, 3.0))
+    if abs(amount) < 0.05:
+        amount = 0.05
+    known = library[one.candidate]
+    if not known[0].scales:
+        amount = 1.0
+    values = one.values.copy()
+    values[0] = one.neutral[0] + amount * (one.values[0] - one.neutral[0])
+    low, high = np.array([(p.low, p.high) for p in known]).T
+    return with_values(library, [one.candidate], np.clip(values, low, high))

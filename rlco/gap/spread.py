@@ -1,0 +1,86 @@
+"""The common small spread: every number of a model may be a few per cent off.
+
+A model that is a little wrong everywhere leaves a residual that some single effect
+would seem to explain. So all numbers below may move, with a prior of a few per cent
+each, before an effect is named.
+"""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+
+from rlco.physics.effects.targets import ONE_AXIS, actuated_joint
+
+
+def spread_names(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Return ``kind:name`` for each number of a model that is not zero."""
+    names = []
+    for body in range(1, model.nbody):
+        if model.body_mass[body] > 0 and model.body_weldid[body] != 0:
+            name = model.body(body).name
+            names += [f"mass:{name}", f"inertia:{name}"]
+    for joint in range(model.njnt):
+        if model.jnt_type[joint] not in ONE_AXIS:
+            continue
+        dof, name = model.jnt_dofadr[joint], model.joint(joint).name
+        for kind, field in (
+            ("damping", model.dof_damping),
+            ("armature", model.dof_armature),
+            ("friction", model.dof_frictionloss),
+        ):
+            if field[dof] > 0:
+                names.append(f"{kind}:{name}")
+    for actuator in range(model.nu):
+        joint_name = actuated_joint(model, actuator)
+        if joint_name is None:
+            continue
+        name = model.actuator(actuator).name
+        names.append(f"gain:{name}")
+        if model.actuator_biasprm[actuator, 2] < 0:
+            names.append(f"feedback:{name}")
+        if model.actuator_forcelimited[actuator]:
+            names.append(f"limit:{name}")
+    return tuple(names)
+
+
+def apply_spread(
+    spec: mujoco.MjSpec, names: tuple[str, ...], parts: tuple[float, ...]
+) -> None:
+    """Multiply each number by one plus its part, in place."""
+    for full, part in zip(names, parts, strict=True):
+        if part == 0.0:
+            continue
+        kind, name = full.split(":", 1)
+        _scale(spec, kind, name, 1.0 + part)
+
+
+def _scale(spec: mujoco.MjSpec, kind: str, name: str, factor: float) -> None:
+    if kind in ("mass", "inertia"):
+        body = spec.body(name)
+        if kind == "mass":
+            body.mass *= factor
+        elif np.isfinite(body.fullinertia).all():
+            body.fullinertia = np.array(body.fullinertia) * factor
+        else:
+            body.inertia = np.array(body.inertia) * factor
+    elif kind in ("damping", "armature", "friction"):
+        joint = spec.joint(name)
+        if kind == "damping":
+            joint.damping = np.array(joint.damping, dtype=float) * factor
+        elif kind == "armature":
+            joint.armature *= factor
+        else:
+            joint.frictionloss *= factor
+    else:
+        actuator = spec.actuator(name)
+        if kind == "limit":
+            actuator.forcerange = np.array(actuator.forcerange) * factor
+            return
+        gain, bias = np.array(actuator.gainprm), np.array(actuator.biasprm)
+        if kind == "gain":
+            gain[0] *= factor
+            bias[1] *= factor
+        else:
+            bias[2] *= factor
+        actuator.gainprm, actuator.biasprm = gain, bias

@@ -1,0 +1,260 @@
+"""From a finished search to what is said: names, rivals, intervals, what is left."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rlco.gap.fit import candidates_of, fit, linearise
+from rlco.gap.intervals import half_widths
+from rlco.gap.left_over import describe_left
+from rlco.gap.log import Array
+from rlco.gap.probe import probe, start_of
+from rlco.gap.problem import Candidate, Finding, Gap, Hypothesis, Value, Verdict
+from rlco.gap.search import (
+    BETTER,
+    Scored,
+    Search,
+    first_look,
+    ranked,
+    refined,
+)
+from rlco.physics.effects import EFFECTS, AppliedEffect
+
+NEAR_FLOOR = 1.3  # held-out error over the noise floor
+ENOUGH = 0.5  # share of the gap that effects must explain to be named
+RIVALS = 5  # others that are tried in the place of each named effect
+
+
+def conclude(search: Search, seconds: float, complete: bool) -> Verdict:
+    """Return the verdict of a search.
+
+    Args:
+        search: The search, with its best set of effects.
+        seconds: How long it took.
+        complete: False where it was interrupted.
+    """
+    best, none = search.best, search.scores[frozenset()]
+    if best is None:
+        best = none
+    left = left_share(none, best)
+    rivals: list[tuple[tuple[Candidate, ...], dict[str, float]]] = []
+    if best.effects and complete:
+        best, rivals = find_rivals(search, best)
+    kind = _kind(search, none, best, left, rivals)
+    named = kind in ("named", "ambiguous")
+    found = best if named else none
+    effects = _findings(search, best, rivals) if named else ()
+    return Verdict(
+        complete=complete,
+        verdict=kind,
+        effects=effects,
+        gap=_gap(search, found),
+        unexplained=describe_left(search.problem, found.effects, left if named else 1.0)
+        if kind not in ("no_gap", "not_identifiable") and found.error > NEAR_FLOOR
+        else {"share": 0.0, "target": None, "note": "nothing beyond the noise"},
+        closest=() if named else _closest(search, none),
+        seconds=seconds,
+        hypothesis=Hypothesis(found.effects),
+        train=search.train,
+        heldout=search.heldout,
+        trail=tuple(search.trail),
+    )
+
+
+def left_share(none: Scored, best: Scored) -> float:
+    """Return the share of the gap above the noise that a set of effects leaves."""
+    before = max(float(np.mean(none.everything**2)) - 1.0, 1e-9)
+    after = max(float(np.mean(best.everything**2)) - 1.0, 0.0)
+    return min(after / before, 1.0)
+
+
+def _kind(
+    search: Search,
+    none: Scored,
+    best: Scored,
+    left: float,
+    rivals: list[tuple[tuple[Candidate, ...], dict[str, float]]],
+) -> str:
+    if not best.effects:
+        if none.error > NEAR_FLOOR:
+            return "unexplained"
+        if not search.visible:
+            return "not_identifiable"
+        others = [one for one in search.scores.values() if one.effects]
+        trained = min((one.fit.cost for one in others), default=np.inf)
+        better = trained < (1.0 - BETTER) ** 2 * float(np.mean(none.fit.residual**2))
+        return "no_improvement" if better else "no_gap"
+    if left > 1.0 - ENOUGH and best.error > NEAR_FLOOR:
+        return "unexplained"
+    if at_bounds(search, best) or not _helps(search, best):
+        return "unexplained"
+    return "ambiguous" if any(names for names, _ in rivals) else "named"
+
+
+def at_bounds(search: Search, best: Scored) -> bool:
+    """Return whether a number went as far as it may: something else was meant."""
+    for effect in best.effects:
+        known = search.library[Candidate(effect.name, effect.target)]
+        for parameter, value in zip(known, effect.values, strict=True):
+            near = 1e-3 * (parameter.high - parameter.low)
+            away = abs(value - parameter.neutral) > near
+            low, high = value - parameter.low < near, parameter.high - value < near
+            if away and (low or high):
+                return True
+    return False
+
+
+def _helps(search: Search, best: Scored) -> bool:
+    """Return whether the effects help without any spread of the other numbers."""
+    rows = search.residuals([(), best.effects], search.heldout)
+    scale = search.problem.noise[search.problem.layout.channel]
+    held = np.isin(search.problem.layout.recording, search.heldout)
+    before, after = np.mean((rows / scale[held]) ** 2, axis=1)
+    return bool(np.sqrt(after) < (1.0 - BETTER) * np.sqrt(before))
+
+
+def find_rivals(
+    search: Search, best: Scored
+) -> tuple[Scored, list[tuple[tuple[Candidate, ...], dict[str, float]]]]:
+    """Try others in the place of each named effect.
+
+    Returns:
+        The best set (another, should one of the others do better), and for each of its
+        effects the rivals that do as well, with how much worse each is, held out.
+    """
+    for _ in range(3):
+        options = [
+            one
+            for place in range(len(best.effects))
+            for one in _others(search, best, place)
+        ]
+        winner = min(options, key=lambda one: one.fit.cost, default=best)
+        if not (winner.fit.cost < best.fit.cost and search.better(winner, best)):
+            break
+        best = search.best = winner
+    rivals = []
+    for effect in best.effects:
+        own = Candidate(effect.name, effect.target)
+        rest = best.names - {own}
+        names, evidence = [], {}
+        for one in search.scores.values():
+            other = one.names - rest
+            if one.names == best.names or len(other) != 1 or not rest <= one.names:
+                continue
+            (candidate,) = other
+            worse = one.error / best.error - 1.0
+            evidence[f"{candidate.name} {candidate.target or ''}".strip()] = worse
+            if is_rival(search, best, one):
+                names.append((one.fit.cost, candidate))
+        names.sort(key=lambda pair: pair[0])
+        near = dict(sorted(evidence.items(), key=lambda item: item[1])[:RIVALS])
+        rivals.append((tuple(candidate for _, candidate in names), near))
+    return best, rivals
+
+
+def is_rival(search: Search, best: Scored, one: Scored) -> bool:
+    """Return whether another set explains the data as well, as far as can be told.
+
+    Where both leave more than noise, neither is the truth, and a small difference
+    between them means less.
+    """
+    near = one.error < 1.03 * best.error and best.error > NEAR_FLOOR
+    return near or not search.better(best, one)
+
+
+def _others(search: Search, best: Scored, place: int) -> list[Scored]:
+    """Fit the most telling others in the place of one effect."""
+    out = best.effects[place]
+    rest = tuple(effect for effect in best.effects if effect is not out)
+    look = first_look(search)
+    known = search.scores.get(frozenset(candidates_of(rest)))
+    kept = known.effects if known else fit(look.library, [rest], look.weigh)[0].effects
+    at = linearise(look.library, kept, look.weigh)
+    names = frozenset(candidates_of(kept))
+    likely = [
+        candidate
+        for candidate in search.library
+        if candidate not in best.names
+        and (
+            candidate.target == out.target
+            or candidate.name in EFFECTS[out.name].confused_with
+            or candidate.target is None
+        )
+    ]
+    fresh = [c for c in likely if frozenset((*names, c)) not in search.scores]
+    probes = probe(look.library, fresh, kept, at.residual, look.weigh)
+    starts: dict[Candidate, tuple[AppliedEffect, ...]] = {}
+    for one in ranked(probes, at):
+        start = start_of(search.library, one, at.residual)
+        starts.setdefault(one.candidate, kept + start)
+    return refined(search, look, list(starts.values())[:RIVALS])
+
+
+def _findings(
+    search: Search,
+    best: Scored,
+    rivals: list[tuple[tuple[Candidate, ...], dict[str, float]]],
+) -> tuple[Finding, ...]:
+    widths = _widths(search, best)
+    found, at = [], 0
+    for i, effect in enumerate(best.effects):
+        known = search.library[Candidate(effect.name, effect.target)]
+        values = {}
+        for parameter, number in zip(known, effect.values, strict=True):
+            width = float(widths[at])
+            at += 1
+            low = max(parameter.low, number - width)
+            high = min(parameter.high, number + width)
+            values[parameter.name] = Value(number, low, high, parameter.unit)
+        names, evidence = rivals[i] if rivals else ((), {})
+        found.append(Finding(effect.name, effect.target, values, names, evidence))
+    return tuple(found)
+
+
+def _widths(search: Search, best: Scored) -> Array:
+    """Half widths of all numbers, from differences at the best numbers."""
+    known = [
+        parameter
+        for effect in best.effects
+        for parameter in search.library[Candidate(effect.name, effect.target)]
+    ]
+    # What jumps has no slope: its interval is the jump.
+    widths = np.array([parameter.resolution for parameter in known])
+    smooth = widths == 0.0
+    if smooth.any():
+        once = replace(search, weighting=search.counted_once)
+        here = linearise(search.library, best.effects, search.weigh)
+        free = linearise(search.library, best.effects, once.weigh)
+        rows = search.blocks[: len(here.residual)]
+        widths[smooth] = half_widths(
+            here.jacobian[smooth], here.residual, rows, free.jacobian[smooth]
+        )
+    return widths
+
+
+def _gap(search: Search, found: Scored) -> Gap:
+    def rms(effects: tuple[AppliedEffect, ...], recordings: tuple[int, ...]) -> float:
+        rows = search.residuals([effects], recordings)
+        return float(np.sqrt(np.mean(rows**2)))
+
+    floor = search.problem.noise[search.problem.layout.channel]
+    units = search.problem.layout.units
+    return Gap(
+        units[0] if len(set(units)) == 1 else "mixed",
+        rms((), search.train),
+        rms((), search.heldout),
+        rms(found.effects, search.train),
+        rms(found.effects, search.heldout),
+        float(np.sqrt(np.mean(floor**2))),
+    )
+
+
+def _closest(search: Search, none: Scored) -> tuple[tuple[Candidate, float], ...]:
+    """The single effects that come nearest, with the share each would explain."""
+    singles = [one for one in search.scores.values() if len(one.effects) == 1]
+    singles.sort(key=lambda one: one.fit.cost)
+    return tuple(
+        (next(iter(one.names)), 1.0 - left_share(none, one)) for one in singles[:5]
+    )

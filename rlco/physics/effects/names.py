@@ -1,0 +1,69 @@
+"""Names of joints and bodies in a model that prefixes them, as robosuite does.
+
+What a log calls ``joint4`` is ``robot0_joint4`` in robosuite's model, its
+``right_gripper`` is ``gripper0_right_right_gripper``, its ``red_cube`` is
+``red_cube_main``.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+import mujoco
+
+from rlco.errors import UnknownNameError
+from rlco.physics.effects.effect import AppliedEffect
+
+_PREFIX = re.compile(r"^(robot\d+|gripper\d+_(right|left)|(fixed_)?(mount|base)\d+)_")
+_SUFFIX = re.compile(r"_main$")
+
+
+def plain_name(name: str) -> str:
+    """Return a name without what robosuite adds.
+
+    Example:
+        >>> plain_name("robot0_joint4"), plain_name("red_cube_main")
+        ('joint4', 'red_cube')
+    """
+    return _SUFFIX.sub("", _PREFIX.sub("", name))
+
+
+def in_model(
+    effects: Iterable[AppliedEffect],
+    model: mujoco.MjModel,
+    names: Mapping[str, str] | None = None,
+) -> list[AppliedEffect]:
+    """Return effects whose targets are names in a model.
+
+    Args:
+        effects: Their targets are names in the model, or names without robosuite's
+            prefixes.
+        model: The model.
+        names: From a target to its name in the model, where that is another one.
+
+    Raises:
+        UnknownNameError: If a target is none of the model's joints and bodies, or
+            could be several of them.
+    """
+    known = [model.joint(i).name for i in range(model.njnt)]
+    known += [model.body(i).name for i in range(1, model.nbody)]
+    known += [model.geom(i).name for i in range(model.ngeom)]
+    found = []
+    for effect in effects:
+        target = effect.target
+        if target is not None:
+            target = _match((names or {}).get(target, target), known)
+        found.append(replace(effect, target=target))
+    return found
+
+
+def _match(name: str, known: list[str]) -> str:
+    if name in known:
+        return name
+    near = sorted({other for other in known if plain_name(other) == name})
+    if len(near) != 1:
+        choices = near or [n for n in known if n]
+        raise UnknownNameError("target of an effect", name, choices)
+    return near[0]

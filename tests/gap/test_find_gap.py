@@ -1,0 +1,105 @@
+"""What the whole search says of small arms with and without something hidden."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import mujoco
+import numpy as np
+import pytest
+from hidden_arms import TWO_LINKS, Act, Hide, record
+
+from rlco.gap.arm_rollouts import ArmRollouts
+from rlco.gap.find_gap import find_gap
+from rlco.gap.problem import Verdict
+from rlco.physics.effects import EFFECTS
+
+_NOISE = np.full(2, 4e-4)
+
+
+def _verdict(hide: Hide | None = None, act: Act | None = None, **options) -> Verdict:  # type: ignore[no-untyped-def]
+    log = record(hide, act)
+    return find_gap(
+        ArmRollouts(mujoco.MjSpec.from_string(TWO_LINKS), log, _NOISE), **options
+    )
+
+
+def _names(verdict: Verdict) -> set[tuple[str, str | None]]:
+    return {(finding.name, finding.target) for finding in verdict.effects}
+
+
+def _two(model: mujoco.MjModel) -> None:
+    model.dof_frictionloss[1] = 0.08
+    model.actuator_gainprm[0, 0] *= 0.7
+    model.actuator_biasprm[0, 1] *= 0.7
+
+
+def _spread(model: mujoco.MjModel) -> None:
+    random = np.random.default_rng(5)
+    for numbers in (model.body_mass, model.dof_damping, model.dof_armature):
+        numbers *= 1 + random.normal(0, 0.02, numbers.shape)
+
+
+def _ripple(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    data.qfrc_applied[0] = 0.5 * np.sin(14.0 * data.qpos[0])
+
+
+@cache
+def _found_two() -> Verdict:
+    return _verdict(_two)
+
+
+def test_two_effects_at_once_are_named_with_their_joints_and_sizes() -> None:
+    verdict = _found_two()
+    assert verdict.verdict == "named"
+    assert _names(verdict) == {
+        ("coulomb_friction", "elbow"),
+        ("actuator_gain", "shoulder"),
+    }
+    for finding in verdict.effects:
+        (value,) = finding.parameters.values()
+        truth = {"coulomb_friction": 0.08, "actuator_gain": 0.7}[finding.name]
+        assert value.value == pytest.approx(truth, rel=0.03)
+        # Nine intervals of ten hold the truth, one of twice the width nearly always.
+        assert abs(value.value - truth) < value.high - value.low
+        assert not finding.rivals
+
+
+def test_the_gap_shrinks_to_the_noise_on_recordings_that_were_not_fitted() -> None:
+    gap = _found_two().gap
+    assert gap.before_heldout > 5 * gap.noise_floor
+    assert gap.after_heldout == pytest.approx(gap.noise_floor, rel=0.1)
+
+
+def test_a_model_that_is_a_little_off_everywhere_has_no_gap() -> None:
+    verdict = _verdict(_spread)
+    assert verdict.verdict == "no_gap"
+    assert not verdict.effects
+
+
+def test_an_effect_outside_the_library_is_left_unexplained_and_located() -> None:
+    verdict = _verdict(None, _ripple)
+    assert verdict.verdict == "unexplained"
+    assert not verdict.effects
+    assert verdict.unexplained["target"] == "shoulder"
+    assert "position" in str(verdict.unexplained["note"])
+
+
+def test_what_is_excluded_is_not_named() -> None:
+    def hide(model: mujoco.MjModel) -> None:
+        model.dof_frictionloss[1] = 0.15
+
+    near = {"viscous_damping", "armature", "actuator_lag", "actuator_gain"}
+    verdict = _verdict(hide, exclude=tuple(set(EFFECTS) - near))
+    assert "coulomb_friction" not in {name for name, _ in _names(verdict)}
+    assert verdict.verdict != "named"
+
+
+def test_an_interruption_keeps_the_best_so_far() -> None:
+    def interrupt(said: str, part: float) -> None:
+        if part > 0:
+            raise KeyboardInterrupt
+
+    verdict = _verdict(_two, on_step=interrupt)
+    assert not verdict.complete
+    assert ("actuator_gain", "shoulder") in _names(verdict)

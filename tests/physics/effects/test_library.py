@@ -1,0 +1,136 @@
+"""Each effect of the library on a small arm: its names, neutral sizes and meaning."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+
+from rlco.errors import RlcoError, UnknownNameError
+from rlco.physics.effects import EFFECTS, Effect, StepTerms, register
+from rlco.physics.effects.effect import Array
+
+# Reports and files of others spell them so: they must not change.
+_NAMES = {
+    *("coulomb_friction", "viscous_damping", "stribeck_friction", "load_friction"),
+    *("armature", "payload", "link_inertia", "actuator_gain", "actuator_lag"),
+    *("torque_limit", "velocity_limit", "command_delay", "joint_offset"),
+    *("encoder_scale", "joint_stiffness", "torque_bias", "backlash"),
+    *("joint_compliance", "gravity_tilt", "control_rate", "drive_loss"),
+    *("contact_friction", "contact_stiffness", "object_mass"),
+}
+_ARM = """
+<mujoco><compiler angle="radian"/><option timestep="0.002"/><worldbody>
+<geom type="plane" size="1 1 .1"/>
+<body name="block" pos="0 1 .5"><freejoint/><geom size=".05" mass="0.2"/></body>
+<body name="link"><inertial pos="0.1 0 0" mass="0.5" diaginertia="1e-3 2e-3 2e-3"/>
+<joint name="j" axis="0 1 0" damping="0.2" armature="0.01" stiffness="2"/>
+<body name="hand" pos="0.3 0 0"><inertial pos="0.05 0 0" mass="0.1"
+diaginertia="1e-4 1e-4 1e-4"/></body></body></worldbody>
+<actuator><position name="j" joint="j" kp="30" kv="2"/></actuator></mujoco>
+"""
+
+
+def _spec() -> mujoco.MjSpec:
+    return mujoco.MjSpec.from_string(_ARM)
+
+
+def _values(effect: Effect, model: mujoco.MjModel, target: str | None) -> Array:
+    return np.array([p.neutral for p in effect.parameters(model, target)])
+
+
+def _changed(name: str, target: str | None, *values: float) -> mujoco.MjModel:
+    spec = _spec()
+    change = EFFECTS[name].on_spec
+    assert change is not None
+    change(spec, target, np.array(values))
+    return spec.compile()
+
+
+def test_the_names_are_those_that_reports_use() -> None:
+    assert set(EFFECTS) == _NAMES
+
+
+@pytest.mark.parametrize("name", sorted(_NAMES))
+def test_the_neutral_size_changes_neither_motion_nor_commands(name: str) -> None:
+    effect, nominal = EFFECTS[name], _spec().compile()
+    (target, *_) = effect.targets(nominal)
+    values = _values(effect, nominal, target)
+    spec = _spec()
+    if effect.on_spec is not None:
+        effect.on_spec(spec, target, values)
+    model, terms = spec.compile(), StepTerms.none(nominal)
+    commands = np.sin(np.arange(600.0) / 40)[:, None]
+    sent = commands
+    if effect.on_command is not None:
+        sent = effect.on_command(commands, 0, 0.002, values)
+    if effect.on_step is not None:
+        effect.on_step(terms, 0, 0, values)
+    assert not terms.act
+    # Commands of three units a second are below any limit of a servo's speed.
+    np.testing.assert_allclose(sent, commands, atol=1e-15)
+    ends = []
+    for one in (nominal, model):
+        data = mujoco.MjData(one)
+        for command in commands:
+            data.ctrl[:] = command
+            mujoco.mj_step(one, data)
+        ends.append(data.qpos.copy())
+    np.testing.assert_allclose(ends[1], ends[0], atol=1e-7)
+
+
+@pytest.mark.parametrize("name", sorted(_NAMES))
+def test_starts_lie_within_the_bounds_and_away_from_neutral(name: str) -> None:
+    model = _spec().compile()
+    for target in EFFECTS[name].targets(model):
+        first = EFFECTS[name].parameters(model, target)[0]
+        assert all(first.low <= start <= first.high for start in first.starts)
+        assert all(start != first.neutral for start in first.starts)
+
+
+def test_a_payload_hangs_where_it_is_said_to() -> None:
+    model = _changed("payload", "hand", 0.4, 0.1, 0.0, 0.05)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    # Hand: 0.1 kg at 0.35 m; payload: 0.4 kg at 0.3 + 0.1 m and 0.05 m up.
+    hand = model.body("hand").id
+    np.testing.assert_allclose(data.subtree_com[hand], [0.39, 0.0, 0.04])
+
+
+def test_two_springs_at_a_joint_are_one() -> None:
+    # 2 N m/rad at rest at 0 and 6 N m/rad at rest at 0.4: 8 at 0.3.
+    model = _changed("joint_stiffness", "j", 6.0, 0.4)
+    assert model.jnt_stiffness[model.joint("j").id] == pytest.approx(8.0)
+    assert model.qpos_spring[model.joint("j").qposadr[0]] == pytest.approx(0.3)
+
+
+def test_gravity_tilts_without_growing() -> None:
+    gravity = _changed("gravity_tilt", None, 0.0, 0.3).opt.gravity
+    np.testing.assert_allclose(gravity, 9.81 * np.array([np.sin(0.3), 0, -np.cos(0.3)]))
+
+
+def test_play_a_slew_limit_and_a_slow_reader_by_hand() -> None:
+    ramp = np.array([0.0, 1.0, 2.0, 3.0, 2.0, 1.0, 0.0])[:, None]
+
+    def on_command(name: str, value: float) -> list[float]:
+        change = EFFECTS[name].on_command
+        assert change is not None
+        return [float(x) for x in change(ramp, 0, 1.0, np.array([value]))[:, 0]]
+
+    # Half of the play is used up on the way up, all of it after the reversal.
+    assert on_command("backlash", 1.0) == [0.0, 0.5, 1.5, 2.5, 2.5, 1.5, 0.5]
+    assert on_command("velocity_limit", 0.5) == [0.0, 0.5, 1.0, 1.5, 2.0, 1.5, 1.0]
+    assert on_command("control_rate", 2.0) == [0.0, 0.0, 2.0, 2.0, 2.0, 2.0, 0.0]
+    assert on_command("command_delay", 1.5) == [0.0, 0.0, 0.5, 1.5, 2.5, 2.5, 1.5]
+
+
+def test_a_name_that_is_not_there_is_told_with_those_that_are() -> None:
+    with pytest.raises(UnknownNameError, match=r"unknown joint 'k'.*known:.*j"):
+        _changed("coulomb_friction", "k", 1.0)
+    with pytest.raises(UnknownNameError, match="unknown body"):
+        _changed("payload", "hnd", 1.0, 0.0, 0.0, 0.0)
+
+
+def test_a_known_name_cannot_be_taken_again() -> None:
+    with pytest.raises(RlcoError, match="'backlash' exists"):
+        register(EFFECTS["backlash"])
