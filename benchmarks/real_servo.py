@@ -26,7 +26,7 @@ COVERED = ("viscous_damping", "armature", "coulomb_friction", "joint_offset")
 DRIVE_SIDE = ("drive_loss", "actuator_gain", "torque_limit")
 # The servo's own numbers that fits start from: as published, and with less friction.
 STARTS = ((0.0, 0.0, 0.0, 0.0, 0.0, -0.02), (0.0, 0.0, -0.5, 0.5, 0.5, -0.02))
-LIKELY = 4  # effects that are judged in each place
+LIKELY = 5  # effects that are judged in each place
 SCALE = 0.03  # [rad], a typical residual: the fit only wants a number near one
 
 
@@ -72,30 +72,87 @@ class Ladder:
             one for one in library_of(problem) if one.name not in COVERED
         ]
 
-    def judge(self, classes: Sequence[tuple[Candidate, ...]]) -> list[Judged]:
-        """Fit each class with each gain held out."""
+    def judge(self, base: Judged, added: Sequence[Candidate]) -> list[Judged]:
+        """Fit the base with each effect beside it, each gain held out in turn.
+
+        Args:
+            base: Whose numbers the fits start from.
+            added: Effects to add, one at a time.
+        """
+        return [self._judge(base, (one,)) for one in added]
+
+    def alone(self) -> Judged:
+        """Fit the servo's own numbers, each gain held out in turn."""
+        return self._judge(None, ())
+
+    def likely(self, base: Judged) -> list[Candidate]:
+        """Return the effects that tell most beside a base, all gains fitted."""
+        left = [one for one in self.candidates if one not in base.effects]
+        every = range(len(self.gains))
+        costs = [self._fit(base.fits[:1], (one,), every, 4).cost for one in left]
+        return [left[i] for i in np.argsort(costs)[:LIKELY]]
+
+    def _judge(self, base: Judged | None, added: tuple[Candidate, ...]) -> Judged:
         layout = self.problem.layout
-        residual = np.zeros((len(classes), len(layout.time)))
-        errors = np.zeros((len(classes), len(np.unique(self.gains))))
-        fits: list[list[tuple[AppliedEffect, ...]]] = [[] for _ in classes]
+        residual, errors, fits = np.zeros(len(layout.time)), [], []
         for fold, gain in enumerate(np.unique(self.gains)):
             train = np.flatnonzero(self.gains != gain).tolist()
             held = np.flatnonzero(self.gains == gain).tolist()
-            best = [effects for effects, _ in self._fit(classes, train)]
-            rows = self.problem.residuals([Hypothesis(one) for one in best], held)
-            residual[:, np.isin(layout.recording, held)] = rows
-            errors[:, fold] = 1e3 * np.abs(rows).mean(axis=1)
-            for kept, one in zip(fits, best, strict=True):
-                kept.append(one)
+            begin = self._begin()
+            if base:
+                # What fits best alone need not lie near what fits best with another.
+                begin = [base.fits[fold], *self._starts(begin[:1], base.effects)]
+            best = self._fit(begin, added, train, 20).effects
+            rows = self.problem.residuals([Hypothesis(best)], held)[0]
+            residual[np.isin(layout.recording, held)] = rows
+            errors.append(1e3 * float(np.abs(rows).mean()))
+            fits.append(best)
+        effects = (*(base.effects if base else ()), *added)
+        count = sum(len(self.library[one]) for one in (self.own, *effects))
+        return Judged(effects, count, np.array(errors), residual, tuple(fits))
+
+    def _fit(
+        self,
+        begin: Sequence[tuple[AppliedEffect, ...]],
+        added: tuple[Candidate, ...],
+        train: Sequence[int],
+        steps: int,
+    ) -> Fit:
+        """Return the best fit, from each beginning and each start of what is added."""
+
+        def weigh(lists: Sequence[tuple[AppliedEffect, ...]]) -> Array:
+            hypotheses = [Hypothesis(tuple(one)) for one in lists]
+            return self.problem.residuals(hypotheses, train) / SCALE
+
+        starts = self._starts(begin, added)
+        fits = fit(self.library, starts, weigh, steps=steps)
+        return min(fits, key=lambda one: one.cost)
+
+    def _starts(
+        self,
+        begin: Sequence[tuple[AppliedEffect, ...]],
+        added: tuple[Candidate, ...],
+    ) -> list[tuple[AppliedEffect, ...]]:
+        starts = list(begin)
+        for one in added:
+            first, *others = self.library[one]
+            rest = {p.name: p.starts[0] for p in others}
+            starts = [
+                (*start, AppliedEffect(one.name, one.target, {first.name: v, **rest}))
+                for start in starts
+                for v in first.starts
+            ]
+        return starts
+
+    def _begin(self) -> list[tuple[AppliedEffect, ...]]:
+        names = (*OWN, "zero")
         return [
-            Judged(
-                effects,
-                sum(len(self.library[one]) for one in (self.own, *effects)),
-                errors[i],
-                residual[i],
-                tuple(fits[i]),
+            (
+                AppliedEffect(
+                    SERVO_NUMBERS, self.joint, dict(zip(names, n, strict=True))
+                ),
             )
-            for i, effects in enumerate(classes)
+            for n in STARTS
         ]
 
     def class_of(self, best: Judged, others: Sequence[Judged]) -> str:
@@ -104,58 +161,10 @@ class Ladder:
         names = [
             f"{one.effects[-1].name} ({one.error / best.error - 1.0:+.0%})"
             for one in others
-            if block_test(best.residual, one.residual, runs) < DOUBT
+            if set(one.effects) != set(best.effects)
+            and block_test(best.residual, one.residual, runs) < DOUBT
         ]
         return ", ".join(names) or "none"
-
-    def likely(self, base: tuple[Candidate, ...]) -> list[tuple[Candidate, ...]]:
-        """Return the base with each of the effects beside it that tell most."""
-        classes = [(*base, one) for one in self.candidates if one not in base]
-        every = range(len(self.gains))
-        fits = self._fit(classes, every, steps=4, begin=STARTS[:1])
-        order = np.argsort([cost for _, cost in fits])
-        return [classes[i] for i in order[:LIKELY]]
-
-    def _fit(
-        self,
-        classes: Sequence[tuple[Candidate, ...]],
-        train: Sequence[int],
-        steps: int = 15,
-        begin: Sequence[tuple[float, ...]] = STARTS,
-    ) -> list[tuple[tuple[AppliedEffect, ...], float]]:
-        """Return the best numbers of each class, and their cost."""
-
-        def weigh(lists: Sequence[tuple[AppliedEffect, ...]]) -> Array:
-            hypotheses = [Hypothesis(tuple(one)) for one in lists]
-            return self.problem.residuals(hypotheses, train) / SCALE
-
-        starts = [
-            (i, one) for i, c in enumerate(classes) for one in self._starts(c, begin)
-        ]
-        fits = fit(self.library, [one for _, one in starts], weigh, steps=steps)
-        best: dict[int, Fit] = {}
-        for (i, _), found in zip(starts, fits, strict=True):
-            if i not in best or found.cost < best[i].cost:
-                best[i] = found
-        return [(best[i].effects, best[i].cost) for i in range(len(classes))]
-
-    def _starts(
-        self, effects: tuple[Candidate, ...], begin: Sequence[tuple[float, ...]]
-    ) -> list[tuple[AppliedEffect, ...]]:
-        names = (*OWN, "zero")
-        starts = [
-            (AppliedEffect(*_key(self.own), dict(zip(names, numbers, strict=True))),)
-            for numbers in begin
-        ]
-        for one in effects:
-            first, *others = self.library[one]
-            rest = {p.name: p.starts[0] for p in others}
-            starts = [
-                (*start, AppliedEffect(*_key(one), {first.name: value, **rest}))
-                for start in starts
-                for value in first.starts
-            ]
-        return starts
 
 
 def rows() -> list[real_data.Row]:
@@ -163,21 +172,15 @@ def rows() -> list[real_data.Row]:
     spec, log = real_data.servo()
     problem = ServoBench(spec, log)
     ladder = Ladder(problem)
-    (none,) = ladder.judge([()])
-    singles = sorted(ladder.judge(ladder.likely(())), key=_error)
-    pairs = sorted(ladder.judge(ladder.likely(singles[0].effects)), key=_error)
+    none = ladder.alone()
+    singles = _sorted(ladder.judge(none, ladder.likely(none)))
+    pairs = _sorted(ladder.judge(singles[0], ladder.likely(singles[0])))
     best = pairs[0]
     # Others in the place of each of the two: who does as well, as far as runs can tell?
-    firsts = [
-        one for one in ladder.likely(best.effects[1:]) if set(one) != set(best.effects)
-    ]
-    others = [pairs[1:], sorted(ladder.judge(firsts), key=_error)]
-    thirds = sorted(ladder.judge(ladder.likely(best.effects)), key=_error)
-    drive = [
-        one
-        for one in (best, *others[1])
-        if {e.name for e in one.effects} & set(DRIVE_SIDE)
-    ]
+    (second,) = ladder.judge(none, best.effects[1:])
+    firsts = _sorted(ladder.judge(second, ladder.likely(second)))
+    thirds = _sorted(ladder.judge(best, ladder.likely(best)))
+    drive = [one for one in firsts if one.effects[-1].name in DRIVE_SIDE]
     loss = next(one for one in drive if "drive_loss" in str(one))
     witness = supply_sag(problem, Hypothesis(loss.fits[-1]))
     return [
@@ -187,13 +190,13 @@ def rows() -> list[real_data.Row]:
         ("best with a third", str(thirds[0]), "-", "-"),
         (
             f"as good as {best.effects[0].name}",
-            ladder.class_of(best, others[1]),
+            ladder.class_of(best, firsts),
             "drive_loss, actuator_gain, torque_limit are one class",
             "within 20 %",
         ),
         (
             f"as good as {best.effects[1].name}",
-            ladder.class_of(best, others[0]),
+            ladder.class_of(best, pairs),
             "load_friction alone",
             "-",
         ),
@@ -202,13 +205,9 @@ def rows() -> list[real_data.Row]:
     ]
 
 
-def _error(one: Judged) -> float:
-    return one.error
+def _sorted(some: Sequence[Judged]) -> list[Judged]:
+    return sorted(some, key=lambda one: one.error)
 
 
 def _said(some: Sequence[Judged]) -> str:
     return "; ".join(map(str, some))
-
-
-def _key(one: Candidate) -> tuple[str, str | None]:
-    return one.name, one.target

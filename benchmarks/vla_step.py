@@ -82,7 +82,7 @@ def prepare(config: Config, policy: Actor) -> Callable[[], None]:
         sim = policy(sim)
     critic = PrefixCritic(sim["vla_prefix", "summary"].shape[-1]).to(policy.device)
     if keeps:
-        real = with_prefixes(drawn(config.real_rows), policy.prefix, rows=8)[:]
+        real = with_prefixes(drawn(config.real_rows), policy.new_prefix, rows=8)[:]
     else:
         real = drawn(config.real_rows)
         kept = sim["vla_prefix", "summary"]

@@ -31,6 +31,7 @@ class Config(RunOptions):
     variation: str | None = option(
         None, "unseen variation: shapes, colours, initial_states, distractors, camera"
     )
+    effects: str | None = option(None, "effects.yaml: what to add to the simulator")
     backend: Literal["native", "robosuite"] = option("native", "who steps the model")
     episodes: int = option(256, "episodes, the first ones of the seed", minimum=1)
     videos: int = option(0, "episodes to film", minimum=0)
@@ -40,12 +41,12 @@ def main(config: Config) -> None:
     """Evaluate, film, and write results.json."""
     from rlco.evaluation import EVALUATION_SEED, evaluate, evaluation_env, record_video
     from rlco.physics.camera import check_rendering
-    from rlco.physics.task import make_task
+    from rlco.physics.named_task import named_task
     from rlco.policies import load_task_policy
 
     if config.videos:
         check_rendering()
-    policy = load_task_policy(config.policy, make_task(config.task))
+    policy = load_task_policy(config.policy, named_task(config.task))
     env = evaluation_env(
         config.task,
         config.domain,
@@ -53,6 +54,7 @@ def main(config: Config) -> None:
         episodes=config.episodes,
         backend=config.backend,
         variation=config.variation,
+        effects=config.effects,
         seed=EVALUATION_SEED + config.seed,
     )
     with Run(config, "evaluate") as run:

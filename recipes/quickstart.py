@@ -37,6 +37,7 @@ class Config(RunOptions):
     methods: list[str] = option(
         ["real_only", "sft", "rl_co"], f"which to compare: {', '.join(METHODS)}"
     )
+    policy: Literal["gaussian", "token", "flow"] = option("gaussian", "kind of policy")
     sim_demos: int = option(12, "demonstrations to record in sim", minimum=1)
     real_demos: int = option(6, "demonstrations to record in stand_in", minimum=1)
     heldout_demos: int = option(
@@ -86,6 +87,27 @@ def record(config: Config, folder: Path) -> dict[str, str]:
     return folders
 
 
+def stage_two(
+    config: Config, folder: Path, demos: dict[str, str], method: str
+) -> rl_co.Config:
+    """Return the options of a run of Stage II inside a run directory."""
+    return rl_co.Config(
+        name=method,
+        seed=config.seed,
+        threads=config.threads,
+        task=config.task,
+        policy=str(folder / "stages" / "sft" / "policy"),
+        real_demos=demos["real"],
+        heldout_demos=demos["heldout"],
+        real_coeff=0.0 if method == "rl_only" else config.real_coeff,
+        iterations=config.iterations,
+        num_envs=config.num_envs,
+        advantage=config.advantage,
+        eval_every=config.eval_every,
+        eval_episodes=config.curve_episodes,
+    )
+
+
 def train(config: Config, run: Run, demos: dict[str, str]) -> dict[str, Any]:
     """Train every policy that the methods need; return them by method."""
     needed = set(config.methods)
@@ -113,21 +135,7 @@ def train(config: Config, run: Run, demos: dict[str, str]) -> dict[str, Any]:
             with run.stage(options, "sft", folder) as stage:
                 policies[method] = sft.train(options, stage, data)
         else:
-            options = rl_co.Config(
-                name=method,
-                seed=config.seed,
-                threads=config.threads,
-                task=config.task,
-                policy=str(run.path / "stages" / "sft" / "policy"),
-                real_demos=demos["real"],
-                heldout_demos=demos["heldout"],
-                real_coeff=0.0 if method == "rl_only" else config.real_coeff,
-                iterations=config.iterations,
-                num_envs=config.num_envs,
-                advantage=config.advantage,
-                eval_every=config.eval_every,
-                eval_episodes=config.curve_episodes,
-            )
+            options = stage_two(config, run.path, demos, method)
             start, data = rl_co.load(options)
             with run.stage(options, "rl_co", folder) as stage:
                 policies[method] = rl_co.train(options, stage, start, data)
@@ -225,6 +233,7 @@ def main(config: Config) -> None:
     from rlco.report import write_report
 
     make_task(config.task)
+    rl_co.check(stage_two(config, Path(), {"real": "", "heldout": ""}, "rl_co"))
     with Run(config, "quickstart") as run:
         demos = record(config, run.path / "data")
         policies = train(config, run, demos)

@@ -13,6 +13,7 @@ import logging
 from dataclasses import dataclass
 
 from rlco.config import REQUIRED, option
+from rlco.errors import RlcoError
 from rlco.run import run_recipe
 
 log = logging.getLogger("rlco.record_demos")
@@ -30,6 +31,7 @@ class Config:
         0.1, "noise of the commands, in units of their range", minimum=0, maximum=1
     )
     seed: int = option(0, "seed of initial states and noise", minimum=0)
+    effects: str | None = option(None, "effects.yaml: what to add to the simulator")
 
 
 def record(config: Config) -> int:
@@ -40,8 +42,14 @@ def record(config: Config) -> int:
     from rlco.physics.demonstrate import demonstrate
     from rlco.physics.domain import make_domain
     from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
+    from rlco.physics.robosuite_tasks import PREFIX
     from rlco.physics.task import make_task
 
+    if config.task.startswith(PREFIX):
+        raise RlcoError(
+            f"task {config.task!r} is robosuite's and has no scripted expert; record "
+            "demonstrations of it elsewhere and give their LeRobot folder to sft.py."
+        )
     task, domain = make_task(config.task), make_domain(config.domain)
     frames = 0
     with DemoWriter(
@@ -58,6 +66,7 @@ def record(config: Config) -> int:
             episodes=config.episodes,
             seed=config.seed,
             noise=config.noise,
+            effects=config.effects,
         )
         for demonstration in tqdm(
             demonstrations, "episodes", total=config.episodes, disable=None

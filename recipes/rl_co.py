@@ -12,12 +12,15 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from rlco import keys
 from rlco.config import REQUIRED, RunOptions, option
 from rlco.errors import ConfigError
 from rlco.run import Run, run_recipe
+
+if TYPE_CHECKING:
+    from rlco.losses import Learner
 
 log = logging.getLogger("rlco.rl_co")
 
@@ -57,6 +60,9 @@ class Config(RunOptions):
     group_size: int = option(8, "mc: episodes of a group", minimum=2)
     gamma: float = option(0.9, "gae: discount a decision", minimum=0, maximum=1)
     lmbda: float = option(0.95, "GAE's lambda", minimum=0, maximum=1)
+    critic: Literal["network", "head"] = option(
+        "network", "gae: of its own, or a head on a token policy's state"
+    )
     critic_hidden: list[int] = option(
         [256, 256], "gae: width of each hidden layer of the critic", minimum=1
     )
@@ -70,22 +76,13 @@ class Config(RunOptions):
     eval_domains: list[str] = option(["sim", "stand_in"], "domains to evaluate in")
 
 
-def load(config: Config) -> tuple[Any, dict[str, Any]]:
-    """Load the policy and the demonstrations, and check that they fit the task."""
-    from rlco.data import load_task_demos
-    from rlco.physics.domain import make_domain
-    from rlco.physics.task import make_task
-    from rlco.policies import load_task_policy
-
-    task = make_task(config.task)
-    for domain in config.eval_domains:
-        make_domain(domain)
-    policy = load_task_policy(config.policy, task)
+def check(config: Config) -> None:
+    """Check what the options say of each other."""
     problems = []
     if config.advantage == "mc" and config.num_envs % config.group_size:
         problems.append(
             f"num_envs={config.num_envs} is no multiple of "
-            f"group_size={config.group_size}"
+            f"group_size={config.group_size}, as advantage='mc' needs"
         )
     if config.real_coeff > 0 and config.real_demos is None:
         problems.append(
@@ -94,6 +91,21 @@ def load(config: Config) -> tuple[Any, dict[str, Any]]:
         )
     if problems:
         raise ConfigError(problems)
+
+
+def load(config: Config) -> tuple[Any, dict[str, Any]]:
+    """Load the policy and the demonstrations, and check that they fit the task."""
+    from rlco.data import load_task_demos
+    from rlco.physics.domain import make_domain
+    from rlco.physics.named_task import named_task
+    from rlco.policies import load_task_policy
+
+    task = named_task(config.task)
+    for domain in config.eval_domains:
+        make_domain(domain)
+    policy = load_task_policy(config.policy, task)
+    make_critic(config, policy)  # whether such a policy can have it shows here
+    check(config)
     demos = {}
     for name in ("real_demos", "heldout_demos"):
         path = getattr(config, name)
@@ -104,49 +116,19 @@ def load(config: Config) -> tuple[Any, dict[str, Any]]:
     return policy, demos
 
 
-@dataclass
-class Learner:
-    """What is trained, and what trains it; without a critic two of them are None."""
+def make_critic(config: Config, policy: Any) -> Any:
+    """Return the critic, None where the advantages need none."""
+    from rlco.physics.named_task import named_task
+    from rlco.policies import ValueHead, ValueNetwork, task_sizes
 
-    policy: Any
-    critic: Any
-    loss: Any
-    buffer: Any
-    actor_optimizer: Any
-    critic_optimizer: Any
-
-    def modules(self) -> dict[str, Any]:
-        """Everything that a checkpoint holds by its state dict."""
-        names = ("policy", "critic", "actor_optimizer", "critic_optimizer")
-        found = {name: getattr(self, name) for name in names}
-        return {name: module for name, module in found.items() if module is not None}
-
-    def step(self, config: Config, out: Any, *, train_policy: bool) -> None:
-        """Follow the gradient of a loss's terms once."""
-        from torch.nn.utils import clip_grad_norm_
-
-        self.actor_optimizer.zero_grad()
-        if self.critic is not None:
-            self.critic_optimizer.zero_grad()
-        sum(v for k, v in out.items() if k.startswith("loss_")).backward()
-        if self.critic is not None:
-            clip_grad_norm_(self.critic.parameters(), 10.0)
-            self.critic_optimizer.step()
-        if train_policy:
-            clip_grad_norm_(self.policy.parameters(), config.max_grad_norm)
-            self.actor_optimizer.step()
-
-    def state(self) -> dict[str, Any]:
-        """Return what a checkpoint holds."""
-        modules = self.modules().items()
-        state = {name: dict(module.state_dict()) for name, module in modules}
-        return state | {"buffer": self.buffer.state_dict(rows=False)}
-
-    def load(self, state: dict[str, Any]) -> None:
-        """Go on from a checkpoint."""
-        for name, module in self.modules().items():
-            module.load_state_dict(state[name])
-        self.buffer.load_state_dict(state["buffer"])
+    if config.advantage == "mc":
+        return None
+    if config.critic == "head":
+        return ValueHead(policy, hidden=config.critic_hidden)
+    sizes = task_sizes(named_task(config.task))
+    critic = ValueNetwork(hidden=config.critic_hidden, **sizes)
+    critic.encoder.load_state_dict(policy.encoder.state_dict())  # normalises alike
+    return critic
 
 
 def make_learner(
@@ -158,15 +140,9 @@ def make_learner(
     from torchrl.objectives import ClipPPOLoss
 
     from rlco.data import SimRealReplayBuffer
-    from rlco.losses import CoTrainingLoss, ImitationLoss
-    from rlco.physics.task import make_task
-    from rlco.policies import ValueNetwork, task_sizes
+    from rlco.losses import CoTrainingLoss, ImitationLoss, Learner
 
-    critic = None
-    if config.advantage == "gae":
-        sizes = task_sizes(make_task(config.task))
-        critic = ValueNetwork(hidden=config.critic_hidden, **sizes)
-        critic.encoder.load_state_dict(policy.encoder.state_dict())  # normalises alike
+    critic = make_critic(config, policy)
     anchored = config.real_coeff > 0
     batch_size = config.minibatch + (config.real_rows if anchored else 0)
     buffer = SimRealReplayBuffer(
@@ -190,42 +166,12 @@ def make_learner(
         CoTrainingLoss(ppo, anchor, real_coeff=config.real_coeff),
         buffer,
         torch.optim.Adam(policy.parameters(), lr=config.lr),
-        torch.optim.Adam(critic.parameters(), lr=config.critic_lr) if critic else None,
+        None
+        if critic is None
+        else torch.optim.Adam(critic.own_parameters(), lr=config.critic_lr),
+        minibatch=config.minibatch,
+        max_grad_norm=config.max_grad_norm,
     )
-
-
-def update(
-    config: Config, learner: Learner, rollout: Any, *, train_policy: bool
-) -> dict[str, float]:
-    """Pass over a rollout, each minibatch with fresh real rows; return the means."""
-    from rlco.losses import gradient_agreement, log_probs
-
-    policy, loss = learner.policy, learner.loss
-    kept = [*policy.in_keys, *policy.replay_keys, keys.LOG_PROB, keys.ADVANTAGE]
-    if learner.critic is not None:
-        kept += [keys.VALUE_TARGET, keys.STATE_VALUE]
-    # Text and raw actions stay behind.
-    flat = rollout.select(*kept).reshape(-1)
-    # The old log-probability by the learner itself: the first ratio is 1.
-    computed = log_probs(policy, flat, rows=config.minibatch)
-    row = {"log_prob_gap": float((computed - flat[keys.LOG_PROB]).abs().max())}
-    flat.set(keys.LOG_PROB, computed)
-    learner.buffer.empty()
-    learner.buffer.extend(flat)
-    sums: dict[str, float] = {}
-    minibatches = 0
-    for _ in range(config.epochs):
-        for batch in learner.buffer:
-            if minibatches == 0 and config.real_coeff > 0:
-                row |= gradient_agreement(loss, batch)
-            out = loss(batch)
-            if minibatches == 0:
-                row["first_ratio"] = float(out["max_ratio"])
-            learner.step(config, out, train_policy=train_policy)
-            minibatches += 1
-            for name, value in out.items():
-                sums[name] = sums.get(name, 0.0) + float(value.detach())
-    return row | {name: total / minibatches for name, total in sums.items()}
 
 
 def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
@@ -292,7 +238,8 @@ def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
             "diverged": int(rollout["next", keys.DIVERGED].sum()),
         }
         alone = config.critic_iterations if learner.critic is not None else 0
-        row |= update(config, learner, rollout, train_policy=iteration > alone)
+        # Every minibatch of every epoch draws its real rows anew.
+        row |= learner.update(rollout, config.epochs, train_policy=iteration > alone)
         row |= forgetting()
         learned = time.perf_counter()
         if iteration % config.eval_every == 0 or iteration == config.iterations:

@@ -37,15 +37,18 @@ class TokenOptions:
     """Options of policy=token."""
 
     width: int = option(64, "features of a position of the transformer", minimum=1)
-    layers: int = option(2, "blocks of the transformer", minimum=1)
+    layers: int = option(1, "blocks of the transformer", minimum=1)
     heads: int = option(4, "attention heads; they divide the width", minimum=1)
     bins: int = option(256, "tokens an action number", minimum=2)
     bin_range: float = option(
-        1.0, "outermost edges of the bins, in units of the normalised action"
+        1.25, "outermost edges of the bins, in units of the normalised action"
     )
     temperature: float = option(1.0, "logits are divided by it")
-    label_std: float = option(
-        0.1, "blur of the labels, in units of the normalised action", minimum=0
+    noise_std: float = option(
+        0.2, "noise on demonstrations, in units of the normalised action", minimum=0
+    )
+    hidden_share: float = option(
+        0.5, "share of chunks imitated from the observation alone", minimum=0, maximum=1
     )
     log_prob_level: Literal["chunk", "action", "token"] = option(
         "chunk", "what one ratio of PPO covers"
@@ -108,9 +111,9 @@ def load(config: Config) -> dict[str, DemoReplayBuffer | None]:
     """Load the demonstrations that sim_ratio asks for."""
     from rlco.data import load_task_demos
     from rlco.physics.domain import make_domain
-    from rlco.physics.task import make_task
+    from rlco.physics.named_task import named_task
 
-    task = make_task(config.task)
+    task = named_task(config.task)
     for domain in config.eval_domains:
         make_domain(domain)
     needed = {"sim_demos": config.sim_ratio > 0, "real_demos": config.sim_ratio < 1}
@@ -135,16 +138,15 @@ def load(config: Config) -> dict[str, DemoReplayBuffer | None]:
 
 def new_policy(config: Config) -> ChunkPolicy:
     """Return a new policy of the kind and the size that the options give."""
-    from rlco.physics.observation import ACTION_NAMES
-    from rlco.physics.task import make_task
+    from rlco.physics.named_task import named_task
     from rlco.policies import make_policy, task_sizes
 
     policy: ChunkPolicy = make_policy(
         config.policy,
         chunk=config.chunk,
-        action_size=len(ACTION_NAMES),
+        action_size=len(named_task(config.task).action_names),
         hidden=list(config.hidden),
-        **task_sizes(make_task(config.task)),
+        **task_sizes(named_task(config.task)),
         **asdict(getattr(config, config.policy)),
     )
     return policy
@@ -175,7 +177,7 @@ def train(config: Config, run: Run, demos: dict[str, Any]) -> ChunkPolicy:
 
     from rlco.data import SimRealReplayBuffer
     from rlco.losses import CoTrainingLoss, ImitationLoss
-    from rlco.physics.task import make_task
+    from rlco.physics.named_task import named_task
     from rlco.policies import save_policy
 
     sim, real = demos["sim_demos"], demos["real_demos"]
@@ -223,7 +225,7 @@ def train(config: Config, run: Run, demos: dict[str, Any]) -> ChunkPolicy:
     save_policy(
         policy,
         run.path / "policy",
-        extra={"sim_ratio": config.sim_ratio, **make_task(config.task).description()},
+        extra={"sim_ratio": config.sim_ratio, **named_task(config.task).description()},
     )
     return policy
 

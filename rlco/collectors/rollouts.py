@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, get_args
 
 import torch
@@ -16,6 +17,7 @@ from rlco import keys
 from rlco.collectors.advantages import Advantage, group_advantages, normalize
 from rlco.envs.chunk_env import ChunkEnv
 from rlco.errors import ConfigError
+from rlco.policies import ValueHead
 
 
 class RolloutCollector:
@@ -42,6 +44,8 @@ class RolloutCollector:
         lmbda: GAE's lambda.
         advantage: "gae" or "mc".
         group_size: Episodes of a group; "mc" alone has groups.
+        prepare: Called with each rollout before GAE, to add what the critic reads and
+            the environment does not show.
 
     Raises:
         ConfigError: "gae" without a critic, or groups of one episode.
@@ -70,8 +74,10 @@ class RolloutCollector:
         lmbda: float = 0.95,
         advantage: Advantage = "gae",
         group_size: int = 8,
+        prepare: Callable[[TensorDictBase], None] | None = None,
     ) -> None:
         _check(critic, advantage, group_size)
+        self._prepare = prepare
         self.env = env
         self.group_size = group_size if advantage == "mc" else 1
         env.start_in_groups(self.group_size)
@@ -90,7 +96,12 @@ class RolloutCollector:
         self._gae = None
         if advantage == "gae":
             self._gae = GAE(
-                gamma=gamma, lmbda=lmbda, value_network=critic, average_gae=False
+                gamma=gamma,
+                lmbda=lmbda,
+                value_network=critic,
+                average_gae=False,
+                # vmap has no rule for attention, and says so at each call.
+                deactivate_vmap=isinstance(critic, ValueHead),
             )
 
     @property
@@ -112,6 +123,8 @@ class RolloutCollector:
             return rollout.set(
                 keys.ADVANTAGE, group_advantages(rollout, self.group_size)
             )
+        if self._prepare is not None:
+            self._prepare(rollout)
         with torch.no_grad():
             rollout = self._gae(rollout)
         # What a broken simulation did says nothing of the policy, nor of the critic.

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from rlco.data.demos import DemoReplayBuffer, load_demos
 from rlco.errors import ConfigError, DataError
-from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
 from rlco.physics.task import Task
+
+if TYPE_CHECKING:  # robosuite takes a second to import
+    from rlco.physics.robosuite_tasks import RobosuiteTask
 
 
 def load_task_demos(
-    path: str | Path, task: Task, *, chunk: int, rename: str = ""
+    path: str | Path, task: Task | RobosuiteTask, *, chunk: int, rename: str = ""
 ) -> DemoReplayBuffer:
     """Load demonstrations whose features, sizes, texts and rate are the task's.
 
@@ -30,8 +33,8 @@ def load_task_demos(
         chunk=chunk,
         rename=rename_map(rename),
         instructions=task.instructions,
-        action_dim=len(ACTION_NAMES),
-        state_dim=len(STATE_NAMES),
+        action_dim=len(task.action_names),
+        state_dim=len(task.state_names),
         environment_dim=len(task.environment_state_names),
         image_key=False,
     )

@@ -44,6 +44,7 @@ from rlco.gap.state_readings import (
 )
 from rlco.gap.task_motions import motions_of, shifted
 from rlco.gap.task_plants import Plants
+from rlco.gap.task_rollouts import Rollouts
 from rlco.gap.task_space import TaskSpaceProblem, task_at_rate
 from rlco.physics.domain import Domain, make_domain
 from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
@@ -181,7 +182,7 @@ def check_conventions(
     log: Log,
     *,
     domain: str | Domain = "sim",
-    plants: Plants | None = None,
+    rollouts: Rollouts | None = None,
 ) -> Conventions:
     """Find out whether a log of a task's actions means what the simulator means.
 
@@ -193,7 +194,7 @@ def check_conventions(
         log: Recordings with `command` (T, 7) and the robot's state in `extra`: the
             tool's position, its rotation and the gripper, under any names.
         domain: The simulator.
-        plants: The task's model, where one is there already.
+        rollouts: Simulations of the task and domain, where they are there already.
 
     Raises:
         DataError: If the log holds no such columns, or too little motion.
@@ -211,8 +212,8 @@ def check_conventions(
         raise DataError(
             f"the log has {rows} rows; conventions show in {_ROWS} rows or more."
         )
-    plants = plants or Plants(task, make_domain(domain))
-    answers, home = nominal_answers(plants)
+    rollouts = rollouts or Rollouts(Plants(task, make_domain(domain)))
+    answers, home = nominal_answers(rollouts)
     told = [columns_of(recording, columns) for recording in log.recordings]
     state, ambiguous = likeliest_state(log, columns, read_state(told, home))
     motions = [motions_of(recording, columns, state) for recording in log.recordings]
@@ -240,15 +241,20 @@ def check_conventions(
         for move in moves
         for turn, scale in turns
     ]
-    return _replayed(found, replace(log, recordings=log.recordings[:_REPLAYED]), plants)
+    if moves[0].explained < EXPLAINED:
+        found = found[:1]
+    part = replace(log, recordings=log.recordings[:_REPLAYED])
+    return _replayed(found, part, rollouts)
 
 
-def _replayed(found: Sequence[Conventions], log: Log, plants: Plants) -> Conventions:
+def _replayed(
+    found: Sequence[Conventions], log: Log, rollouts: Rollouts
+) -> Conventions:
     """Replay a log under each of some readings; return what misses the tool least.
 
     Of those that miss by about as much, the first is returned.
     """
-    errors = [_miss(one.apply(log), plants) for one in found]
+    errors = [_miss(one.apply(log), rollouts) for one in found]
     totals = [place + _ARM * turn for place, turn in errors]
     best = 0
     for number, total in enumerate(totals):
@@ -261,13 +267,16 @@ def _replayed(found: Sequence[Conventions], log: Log, plants: Plants) -> Convent
         if one is not found[best] and total < totals[best] / _BETTER
     ]
     if not chosen.agrees and not chosen.state.changes() and chosen.is_named:
-        chosen = replace(chosen, error_as_is=_miss(log, plants)[0])
+        chosen = replace(chosen, error_as_is=_miss(log, rollouts)[0])
     return replace(chosen, ambiguous=(*chosen.ambiguous, *words))
 
 
-def _miss(log: Log, plants: Plants) -> tuple[float, float]:
+def _miss(log: Log, rollouts: Rollouts) -> tuple[float, float]:
     """Return by how much replays of a log miss the tool, [m] and [rad]."""
-    problem = TaskSpaceProblem(plants.task, log, domain=plants.domain, plants=plants)
+    plants = rollouts.plants
+    problem = TaskSpaceProblem(
+        plants.task, log, domain=plants.domain, rollouts=rollouts
+    )
     left = problem.residuals([Hypothesis()])[0]
     missed = []
     for names in (STATE_NAMES[:3], STATE_NAMES[3:6]):

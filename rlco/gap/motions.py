@@ -185,10 +185,10 @@ def fast_sweep(room: Room, columns: Sequence[int]) -> Array:
 KINDS = (
     Kind("slow_triangle", "Move {joint} slowly to and fro.", slow_triangle),
     Kind("cruises", "Move {joint} at constant speeds, both ways.", cruises),
-    Kind("holds", "Rest {joint} at poses, reached from both sides.", holds),
+    Kind("holds", "Rest {joint} at several poses, reached from both sides.", holds),
     Kind("chirp", "Swing {joint} faster and faster, up to 5 Hz.", chirp),
     Kind("big_steps", "Send {joint} far goals, one after the other.", big_steps),
-    Kind("fast_sweep", "Sweep {joint} over its range at full speed.", fast_sweep),
+    Kind("fast_sweep", "Sweep {joint} to and fro at full speed.", fast_sweep),
 )
 
 

@@ -9,7 +9,6 @@ from rlco.gap.action_readings import ActionReading, Motion, Score, score
 from rlco.gap.action_units import MOVES, TURNS
 from rlco.gap.log import Array
 from rlco.gap.task_channels import report
-from rlco.gap.task_plants import Plants
 from rlco.gap.task_prior import Starts
 from rlco.gap.task_rollouts import Job, Rollouts
 from rlco.physics.observation import TOOL_DOWN
@@ -19,19 +18,19 @@ _KEEP = 0.7  # part of a command that the next one keeps
 
 
 def nominal_answers(
-    plants: Plants, threads: int | None = None
+    rollouts: Rollouts,
 ) -> tuple[tuple[Score, Score], Array]:
     """Move the tool at random from where the task's episodes start.
 
     Args:
-        plants: The task's model.
-        threads: Python threads; one a core by default.
+        rollouts: Simulations of the task.
 
     Returns:
         How the tool answers to metres and to radians, and its usual start, as our data
         sets tell it, (6,).
     """
-    starts, rng = Starts(plants), np.random.default_rng(0)
+    plants, rng = rollouts.plants, np.random.default_rng(0)
+    starts = Starts(plants)
     steps = 0.3 * rng.standard_normal((_EPISODES, _STEPS, 7))
     for row in range(1, _STEPS):
         steps[:, row] += _KEEP * steps[:, row - 1]
@@ -40,7 +39,6 @@ def nominal_answers(
     steps[..., 6] = 0.0
     actions = np.clip(steps, -1.0, 1.0)
     start = starts.start(starts.mean)
-    rollouts = Rollouts(plants, threads)
     found = rollouts.run([Job(plants.nominal, start, rows) for rows in actions])
     moves: list[Motion] = []
     turns: list[Motion] = []

@@ -35,6 +35,7 @@ _BY_HAND = {
 # Noise floors below which a difference is not worth a recording: it would raise the
 # error of the wrong rival by a tenth.
 _CLEAR = 0.5
+_PLENTY = 3.0  # and above which more is no better
 _STEP = 0.05  # part of a number's size by which it is varied
 
 
@@ -182,10 +183,17 @@ def _for_rivals(problem: Problem, verdict: Verdict, finding: Finding) -> Motion:
             apart = separations(_problem_on(problem, room, goals), effects, rivals)
             least = min(apart.values())
             motions.append(_motion(problem, room, kind, columns, goals, members, least))
-    best = max(motions, key=lambda motion: motion.separation or 0.0)
+    best = max(motions, key=_worth)
     if (best.separation or 0.0) < _CLEAR and by_hand:
         return replace(best, how=f"{best.how} {by_hand}")
     return best
+
+
+def _worth(motion: Motion) -> tuple[float, float]:
+    """Prefer, of motions that tell rivals apart beyond doubt, one of few joints."""
+    apart = motion.separation or 0.0
+    few = not motion.name.endswith("_all")
+    return min(apart, _PLENTY) + (few and apart > _PLENTY), apart
 
 
 def _fitted(

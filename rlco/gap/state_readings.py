@@ -17,7 +17,7 @@ from rlco.physics.task import Task
 
 _UNIT = 1e-2  # how far a quaternion's length may be from one
 _FAR, _TURNED = 0.15, 0.3  # by how much episodes may start elsewhere [m], [rad]
-_STRANGE = 2.0  # so many times that is no start of the task
+_STRANGE = 1.0  # so many times that beyond is no start of the task
 _CLOSE = 0.02  # starts that are so much further off are as likely
 _SAME = 0.05  # orientations that differ by less are the same to a replay [rad]
 UNITS = {"metres": 1.0, "centimetres": 0.01, "millimetres": 0.001}

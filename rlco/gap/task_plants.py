@@ -11,6 +11,7 @@ import numpy as np
 
 from rlco.gap.log import Array
 from rlco.gap.problem import Hypothesis
+from rlco.gap.slim import slim_down
 from rlco.gap.spread import apply_spread, spread_names
 from rlco.physics.arm_control import Control, integers, read_control, read_gains
 from rlco.physics.domain import Domain
@@ -84,7 +85,10 @@ class Plants:
         self.task, self.domain = task, domain
         source = Tabletop(task, domain)
         source.start(task.sample(np.random.default_rng(0), None))
-        self.spec = slim_spec(source)
+        xml = source.model.get_xml()
+        for edit in source._xml_processors:
+            xml = edit(xml)
+        self.spec = slim_down(mujoco.MjSpec.from_string(xml))
         self.control: Control = read_control(source, exact=False)
         self._gains = read_gains(source)
         self._tracked = _tracked(source)
@@ -136,45 +140,6 @@ def _compiled(spec: mujoco.MjSpec) -> mujoco.MjModel:
     model = spec.compile()
     model.opt.disableflags |= _NO_RESET
     return model
-
-
-def slim_spec(source: Any) -> mujoco.MjSpec:
-    """Return the spec of a robosuite environment's model, without what is only drawn.
-
-    The robot's visual meshes are most of a model: without them it compiles in
-    milliseconds, and moves alike, since every body keeps its inertia.
-
-    Args:
-        source: The environment, after its reset.
-    """
-    xml = source.model.get_xml()
-    for edit in source._xml_processors:
-        xml = edit(xml)
-    spec = mujoco.MjSpec.from_string(xml)
-    for geom in list(spec.geoms):
-        if geom.contype == 0 and geom.conaffinity == 0:
-            spec.delete(geom)
-    for geom in spec.geoms:
-        geom.material = ""
-    used = {geom.meshname for geom in spec.geoms}
-    unused = [mesh for mesh in spec.meshes if mesh.name not in used]
-    drawn = (spec.cameras, spec.lights, spec.textures, spec.materials, unused)
-    for element in [one for kind in drawn for one in list(kind)]:
-        spec.delete(element)
-    _keep_inertia(spec, source.sim.model._model)
-    return spec
-
-
-def _keep_inertia(spec: mujoco.MjSpec, full: mujoco.MjModel) -> None:
-    """Give each body the inertia that it has with its visual geoms."""
-    for number in range(1, full.nbody):
-        body = spec.body(full.body(number).name)
-        if body.explicitinertial or full.body_mass[number] == 0.0:
-            continue
-        body.explicitinertial = True
-        body.mass = full.body_mass[number]
-        body.ipos, body.iquat = full.body_ipos[number], full.body_iquat[number]
-        body.inertia = full.body_inertia[number]
 
 
 def _tracked(source: Any) -> Tracked:

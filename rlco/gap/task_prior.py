@@ -5,11 +5,11 @@ A log tells some of these numbers; the others are what the task's own draws make
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import mujoco
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from rlco.gap.log import Array
 from rlco.gap.task_channels import report
@@ -71,7 +71,7 @@ class Starts:
         self.layout = Layout(count, len(task.goals), len(task.fixture_joints))
         self._turns = draws[0].object_pose[:count, 3:]
         self._mark_turns = draws[0].goal_orientation()
-        numbers = np.stack([self._numbers(draw) for draw in draws])
+        numbers = self._numbers(draws)
         self.mean, self.spread = numbers.mean(axis=0), numbers.std(axis=0)
 
     def poses(self, numbers: Array) -> tuple[Array, Array]:
@@ -182,27 +182,35 @@ class Starts:
         told = self.reported(moved)[:, columns]
         return told[0], (told[1:] - told[0]).T / _STEP
 
-    def _numbers(self, start: InitialState) -> Array:
+    def _numbers(self, draws: Sequence[InitialState]) -> Array:
+        """Return draws as numbers, (draws, P)."""
         count = self.layout.objects
-        parts = [start.joint_position, [start.gripper_opening]]
-        for places, turns, first in (
-            (
-                start.object_pose[:count, :3],
-                start.object_pose[:count, 3:],
-                self._turns,
-            ),
-            (start.goal_position, start.goal_orientation(), self._mark_turns),
-        ):
-            for place, turn, zero in zip(places, turns, first, strict=True):
-                parts += [place, [_yaw(turn, zero)]]
-        parts.append(start.fixture_opening())
-        return np.concatenate([np.asarray(part, dtype=float) for part in parts])
+        objects = np.stack([draw.object_pose[:count] for draw in draws])
+        marks = np.stack([draw.goal_position for draw in draws])
+        turned = np.stack([draw.goal_orientation() for draw in draws])
+        both = [
+            np.concatenate([place, _yaws(turn, first)[..., None]], axis=-1)
+            for place, turn, first in (
+                (objects[..., :3], objects[..., 3:], self._turns),
+                (marks, turned, self._mark_turns),
+            )
+        ]
+        return np.concatenate(
+            [
+                np.stack([draw.joint_position for draw in draws]),
+                np.array([[draw.gripper_opening] for draw in draws]),
+                *(part.reshape(len(draws), -1) for part in both),
+                np.stack([draw.fixture_opening() for draw in draws]),
+            ],
+            axis=1,
+        )
 
 
-def _yaw(turn: Array, zero: Array) -> float:
-    """Return the turn about z from one quaternion (w, x, y, z) to another [rad]."""
-    both = Rotation.from_quat(np.stack([turn, zero]), scalar_first=True)
-    return float((both[0] * both[1].inv()).as_rotvec()[2])
+def _yaws(turns: Array, first: Array) -> Array:
+    """Return the turns about z from quaternions (w, x, y, z) to others, [rad]."""
+    back = first * np.array([1.0, -1.0, -1.0, -1.0])
+    apart = _product(turns, np.broadcast_to(back, turns.shape))
+    return 2.0 * np.arctan2(apart[..., 3], apart[..., 0])
 
 
 def _product(a: Array, b: Array) -> Array:

@@ -11,7 +11,7 @@ import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
+from itertools import batched, pairwise
 
 import mujoco
 import numpy as np
@@ -30,7 +30,7 @@ from rlco.gap.task_channels import (
     report,
 )
 from rlco.gap.task_plants import SPREAD, Plant, Plants
-from rlco.gap.task_rollouts import Job, Rollouts
+from rlco.gap.task_rollouts import ROWS, Job, Rollouts
 from rlco.gap.task_tracks import Track, Tracker
 from rlco.physics.domain import Domain, make_domain
 from rlco.physics.effects import EFFECTS, AppliedEffect, Effect
@@ -70,6 +70,7 @@ class TaskSpaceProblem:
         domain: The simulator that is compared with the log.
         shot: Seconds of a simulation from a measured state; None for whole episodes.
         threads: Python threads; one a core by default.
+        rollouts: Simulations of this task and domain, where they are there already.
 
     Raises:
         DataError: If the log has no such actions or no tool pose, or another rate.
@@ -89,15 +90,15 @@ class TaskSpaceProblem:
         domain: str | Domain = "sim",
         shot: float | None = 1.0,
         threads: int | None = None,
-        plants: Plants | None = None,
+        rollouts: Rollouts | None = None,
     ) -> None:
         self.task = task_at_rate(make_task(task), log)
         self.domain, self.log = make_domain(domain), log
         self.channels: Channels = channels_of(self.task, log)
-        self.plants = plants or Plants(self.task, self.domain)
+        self._rollouts = rollouts or Rollouts(Plants(self.task, self.domain), threads)
+        self.plants = self._rollouts.plants
         self.model: mujoco.MjModel = self.plants.nominal.model
         self.spread_names = SPREAD
-        self._rollouts = Rollouts(self.plants, threads)
         self._period = 1.0 / self.task.control_frequency
         self._actions = [np.asarray(r.command, dtype=float) for r in log.recordings]
         told = [name for name in known_names(self.task) if has_column(log, name)]
@@ -245,20 +246,24 @@ class TaskSpaceProblem:
         segments = [
             s for s in self.segments if recordings is None or s.recording in recordings
         ]
-        parts = [self._whole_steps(hypothesis) for hypothesis in hypotheses]
-        jobs: list[Job] = []
-        for _, hypothesis in [pair for pairs in parts for pair in pairs]:
-            plant = self.plants.plant(hypothesis)
-            jobs += [self._job(plant, s, tracks[s.recording]) for s in segments]
-        found, told = self._rollouts.run(jobs), self._told(segments)
-        rows, at = [], 0
-        for pairs in parts:
-            total = np.zeros(told.size)
-            for weight, _ in pairs:
-                total += weight * self._left(told, found[at : at + len(segments)])
-                at += len(segments)
-            rows.append(total)
-        return np.stack(rows)
+        weighted = [
+            (row, *pair)
+            for row, hypothesis in enumerate(hypotheses)
+            for pair in self._whole_steps(hypothesis)
+        ]
+        told = self._told(segments)
+        out = np.zeros((len(hypotheses), told.size))
+        # A compiled model takes megabytes: only so many are there at a time.
+        at_once = max(2, ROWS // len(segments))
+        for part in batched(weighted, at_once):
+            jobs = []
+            for _, _, hypothesis in part:
+                plant = self.plants.plant(hypothesis)
+                jobs += [self._job(plant, s, tracks[s.recording]) for s in segments]
+            rollouts = batched(self._rollouts.run(jobs), len(segments))
+            for (row, weight, _), features in zip(part, rollouts, strict=True):
+                out[row] += weight * self._left(told, segments, features)
+        return out
 
     def _job(self, plant: Plant, segment: Segment, track: Track) -> Job:
         actions, first = self._actions[segment.recording], segment.first
@@ -297,15 +302,22 @@ class TaskSpaceProblem:
             [self._measured[s.recording][s.first + 1 : s.last + 1] for s in segments]
         )
 
-    def _left(self, told: Array, found: Sequence[Array | None]) -> Array:
+    def _left(
+        self, told: Array, segments: Sequence[Segment], found: Sequence[Array | None]
+    ) -> Array:
         """Return measured minus simulated of the segments of one plant, (N,)."""
+        left = np.full(told.shape, np.inf)
+        rows = np.repeat(
+            [features is not None for features in found],
+            [s.last - s.first for s in segments],
+        )
         sound = [features for features in found if features is not None]
-        if len(sound) < len(found):
-            return np.full(told.size, np.inf)
-        state = self._rollouts.scene(np.concatenate(sound))
-        columns = list(self.channels.columns)
-        simulated = report(self.task, self.domain, state)[:, columns]
-        return self.channels.difference(told, simulated).ravel()
+        if sound:
+            state = self._rollouts.scene(np.concatenate(sound))
+            columns = list(self.channels.columns)
+            simulated = report(self.task, self.domain, state)[:, columns]
+            left[rows] = self.channels.difference(told[rows], simulated)
+        return left.ravel()
 
 
 def task_at_rate(task: Task, log: Log) -> Task:

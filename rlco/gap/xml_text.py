@@ -78,7 +78,7 @@ class Editor:
         text: The text.
 
     Example:
-        >>> editor = Editor("<a>\\n  <b x='1'/>\\n</a>")
+        >>> editor = Editor("<a>\n  <b x='1'/>\n</a>")
         >>> editor.set(editor.root.children[0], {"x": "2", "y": "3"})
         >>> editor.append(editor.root, "<c/>")
         >>> print(editor.result())

@@ -24,9 +24,8 @@ class Actor(Protocol):
             PPO losses read this name and set their ``action`` key to it.
         log_prob_keys: the entry that holds the sample's log-probability; TorchRL's
             PPO losses set their ``sample_log_prob`` key to it.
-        replay_keys: the entries of a rollout that ``get_dist`` reads beside
-            ``in_keys``: the sample, and whatever else it takes to compute the
-            log-probability again.
+        replay_keys: the entries of a rollout that ``get_dist`` reads: what it takes
+            to compute the log-probability again.
     """
 
     kind: ClassVar[str]

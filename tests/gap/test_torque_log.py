@@ -193,6 +193,15 @@ def test_only_what_torques_show_is_a_candidate() -> None:
     assert not names & {"backlash", "torque_limit", "actuator_lag", "contact_friction"}
 
 
+def test_a_torque_constant_shows_only_where_friction_is_not_most_of_it() -> None:
+    spec = mujoco.MjSpec.from_string(ARM)
+    offered = [
+        "actuator_gain" in {one.name for one in TorqueLog(spec, log).candidates()}
+        for log in (arm_log(1.4 * taken()), arm_log(taken() + 20.0 * SIGN))
+    ]
+    assert offered == [True, False]
+
+
 def test_uneven_rows_are_smoothed_at_their_own_times() -> None:
     random = np.random.default_rng(1)
     time = np.sort(random.uniform(0.0, 4.0, 400))

@@ -51,6 +51,30 @@ def test_a_loaded_policy_acts_alike_and_knows_its_task(tmp_path: Path) -> None:
     assert torch.equal(loaded.imitation_loss(td), policy.imitation_loss(td))
 
 
+@pytest.mark.parametrize(
+    ("kind", "options"),
+    [
+        ("token", {"width": 8, "heads": 2, "bins": 16, "temperature": 1.5}),
+        ("flow", {"method": "flow_sde", "steps": 3, "noise_level": 0.7}),
+        ("flow", {"noise_range": (0.1, 0.3), "padded_size": 32}),
+    ],
+)
+def test_every_kind_draws_alike_after_loading(
+    tmp_path: Path, kind: str, options: dict[str, Any]
+) -> None:
+    policy = make_policy(kind, state_size=2, chunk=3, hidden=(8,), **options)
+    policy.set_normalization(action=([-0.5] * 7, [0.25] * 7))
+    save_policy(policy, tmp_path)
+    loaded, _ = load_policy(tmp_path)
+    assert type(loaded) is type(policy)
+    drawn = []
+    for one in (policy, loaded):
+        torch.manual_seed(1)
+        drawn.append(one(TensorDict({"observation": {"state": torch.ones(4, 2)}}, [4])))
+    for key in policy.out_keys:
+        assert torch.equal(drawn[0][key], drawn[1][key])
+
+
 def test_saving_again_replaces_and_leaves_no_partial_file(saved: Path) -> None:
     save_policy(make(chunk=5), saved)
     assert load_policy(saved)[0].chunk == 5

@@ -1,0 +1,134 @@
+"""The configuration that LeRobot parses, and the environments that it builds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.envs.configs import EnvConfig
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
+
+from rlco.physics.gymnasium_env import TaskEnv
+from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
+from rlco.physics.task import make_task
+
+
+@EnvConfig.register_subclass("rlco")
+@dataclass
+class RlcoEnv(EnvConfig):
+    """A task of rlco, see `rlco.physics.gymnasium_env.TaskEnv`.
+
+    Attributes:
+        task: name of the task.
+        fps: control steps a second; the tasks' own, for videos.
+        domain: ``sim`` or ``stand_in``.
+        variation: a named variation of the scene.
+        camera: last part of the camera's name, ``front`` for
+            ``observation.images.front``; None: numbers alone, and the objects' poses
+            among them.
+        image_size: pixels along each side of a frame.
+        horizon: control steps of an episode; the task's own by default.
+        terminate_on_success: whether an episode ends where it is solved. LeRobot counts
+            it as solved then; otherwise what counts is its end.
+    """
+
+    task: str | None = "push_cube"
+    fps: int = 20
+    domain: str = "sim"
+    variation: str | None = None
+    camera: str | None = None
+    image_size: int = 128
+    horizon: int | None = None
+    terminate_on_success: bool = False
+
+    def __post_init__(self) -> None:
+        def numbers(kind: FeatureType, size: int) -> PolicyFeature:
+            return PolicyFeature(type=kind, shape=(size,))
+
+        self.features[ACTION] = numbers(FeatureType.ACTION, len(ACTION_NAMES))
+        self.features["agent_pos"] = numbers(FeatureType.STATE, len(STATE_NAMES))
+        self.features_map |= {ACTION: ACTION, "agent_pos": OBS_STATE}
+        if self.camera is None:
+            names = make_task(self.task).environment_state_names
+            self.features["environment_state"] = numbers(FeatureType.ENV, len(names))
+            self.features_map["environment_state"] = OBS_ENV_STATE
+        else:
+            shape = (self.image_size, self.image_size, 3)
+            pixels = f"pixels/{self.camera}"
+            self.features[pixels] = PolicyFeature(FeatureType.VISUAL, shape)
+            self.features_map[pixels] = f"{OBS_IMAGES}.{self.camera}"
+
+    @property
+    def gym_kwargs(self) -> dict[str, Any]:
+        """Return the options of one environment."""
+        return {
+            "domain": self.domain,
+            "variation": self.variation,
+            "obs_type": "state" if self.camera is None else "pixels_agent_pos",
+            "image_size": (self.image_size, self.image_size),
+            "horizon": self.horizon,
+            "terminate_on_success": self.terminate_on_success,
+            "render_mode": "rgb_array",
+        }
+
+    def create_envs(
+        self, n_envs: int, use_async_envs: bool = False
+    ) -> dict[str, dict[int, VectorEnv]]:
+        """Return so many copies of the task, as LeRobot nests them."""
+
+        def one() -> gymnasium.Env[Any, Any]:
+            return Episode(TaskEnv(self.task, **self.gym_kwargs), self.camera)
+
+        mode = AutoresetMode.SAME_STEP
+        if use_async_envs and n_envs > 1:
+            # What renders does not survive a fork.
+            copies: VectorEnv = AsyncVectorEnv(
+                [one] * n_envs, autoreset_mode=mode, context="forkserver"
+            )
+        else:
+            copies = SyncVectorEnv([one] * n_envs, autoreset_mode=mode)
+        return {self.type: {0: copies}}
+
+
+class Episode(gymnasium.Wrapper[Any, Any, Any, Any]):
+    """A task whose episodes are judged at their end, and whose camera has a name.
+
+    LeRobot counts an episode as solved if any of its steps was.
+
+    Args:
+        env: the task.
+        camera: its name, None without images.
+    """
+
+    def __init__(self, env: TaskEnv, camera: str | None) -> None:
+        super().__init__(env)
+        self._camera = camera
+        if camera is not None:
+            parts = dict(env.observation_space.spaces)
+            parts["pixels"] = spaces.Dict({camera: parts["pixels"]})
+            self.observation_space = spaces.Dict(parts)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Start an episode."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._named(observation), {**info, "is_success": False}
+
+    def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Execute one control step."""
+        given = np.clip(action, -1.0, 1.0)
+        observation, reward, terminated, truncated, info = self.env.step(given)
+        ended = terminated or truncated
+        info["is_success"] = bool(ended and info["is_success"])
+        return self._named(observation), float(reward), terminated, truncated, info
+
+    def _named(self, observation: dict[str, Any]) -> dict[str, Any]:
+        if self._camera is None:
+            return observation
+        return {**observation, "pixels": {self._camera: observation["pixels"]}}

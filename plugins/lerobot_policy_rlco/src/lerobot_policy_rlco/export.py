@@ -1,0 +1,77 @@
+"""A policy folder of rlco as a checkpoint folder of LeRobot."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.policies.factory import make_pre_post_processors
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
+
+from lerobot_policy_rlco.configuration_rlco import RlcoConfig
+from lerobot_policy_rlco.modeling_rlco import RlcoPolicy
+from rlco.errors import OutputExistsError, RlcoError
+from rlco.policies import load_policy
+
+
+def export_policy(
+    policy: str | os.PathLike[str],
+    folder: str | os.PathLike[str],
+    *,
+    executed: int | None = None,
+) -> Path:
+    """Write a policy that rlco trained as a checkpoint of the type ``rlco``.
+
+    Args:
+        policy: the folder that a recipe saved.
+        folder: where to; it must not exist.
+        executed: steps of a chunk that are executed before the next; None: all.
+
+    Returns:
+        The folder, for ``--policy.path``.
+
+    Raises:
+        CheckpointError: the policy cannot be read.
+        OutputExistsError: the folder exists.
+    """
+    path = Path(folder)
+    if path.exists():
+        raise OutputExistsError(path)
+    actor, extra = load_policy(policy)
+    arguments: dict[str, Any] = actor.arguments
+    inputs = {OBS_STATE: PolicyFeature(FeatureType.STATE, (arguments["state_size"],))}
+    if size := arguments["environment_state_size"]:
+        inputs[OBS_ENV_STATE] = PolicyFeature(FeatureType.ENV, (size,))
+    action = PolicyFeature(FeatureType.ACTION, (arguments["action_size"],))
+    config = RlcoConfig(
+        kind=actor.kind,
+        arguments=json.dumps(arguments),
+        instructions=list(extra.get("instructions", [])),
+        n_action_steps=executed or arguments["chunk"],
+        input_features=inputs,
+        output_features={ACTION: action},
+        device="cpu",
+        push_to_hub=False,
+    )
+    exported = RlcoPolicy(config)
+    exported.actor.load_state_dict(actor.state_dict())
+    exported.save_pretrained(path)
+    for processor in make_pre_post_processors(config):
+        processor.save_pretrained(path)
+    return path
+
+
+def main() -> None:
+    """Run ``rlco-to-lerobot POLICY FOLDER``."""
+    if len(sys.argv) != 3:
+        sys.exit("usage: rlco-to-lerobot POLICY FOLDER")
+    try:
+        path = export_policy(sys.argv[1], sys.argv[2])
+    except RlcoError as error:
+        sys.stderr.write(f"error: {error}\n")
+        sys.exit(2)
+    sys.stdout.write(f"lerobot-eval --policy.path={path} --env.type=rlco\n")

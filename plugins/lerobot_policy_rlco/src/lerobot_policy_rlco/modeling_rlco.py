@@ -1,0 +1,97 @@
+"""One of rlco's policies behind LeRobot's interface."""
+
+from __future__ import annotations
+
+import json
+from collections import deque
+from typing import Any
+
+import torch
+from lerobot.policies.pretrained import PreTrainedPolicy
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from lerobot_policy_rlco.configuration_rlco import RlcoConfig
+from rlco import keys
+from rlco.errors import DataError, suggest
+from rlco.losses import ImitationLoss
+from rlco.policies import make_policy
+
+
+class RlcoPolicy(PreTrainedPolicy):
+    """A policy of rlco, acting without noise.
+
+    Args:
+        config: its kind, arguments and instructions.
+    """
+
+    config_class = RlcoConfig
+    name = "rlco"
+
+    def __init__(self, config: RlcoConfig, **kwargs: Any) -> None:
+        del kwargs  # What LeRobot's factory passes to every policy.
+        super().__init__(config)
+        self.config = config
+        self.actor = make_policy(config.kind, **json.loads(config.arguments))
+        self.reset()
+
+    def get_optim_params(self) -> Any:
+        """Return what is trained."""
+        return self.parameters()
+
+    def reset(self) -> None:
+        """Forget the rest of the chunk."""
+        self._queue: deque[torch.Tensor] = deque()
+
+    def _rows(self, batch: dict[str, Any]) -> TensorDict:
+        """Return LeRobot's batch under rlco's keys."""
+        state = batch[OBS_STATE]
+        rows = TensorDict({keys.STATE: state}, [len(state)])
+        if OBS_ENV_STATE in batch:
+            rows.set(keys.ENVIRONMENT_STATE, batch[OBS_ENV_STATE])
+        if keys.INSTRUCTION_ID in self.actor.in_keys:
+            ids = [self._instruction(text) for text in batch["task"]]
+            rows.set(keys.INSTRUCTION_ID, torch.tensor(ids, device=state.device))
+        if ACTION in batch:
+            rows.set(keys.CHUNK, batch[ACTION])
+            if "action_is_pad" in batch:
+                rows.set(keys.IS_PAD, batch["action_is_pad"])
+        return rows
+
+    def _instruction(self, text: str) -> int:
+        known = self.config.instructions
+        if text not in known:
+            raise DataError(
+                f"the policy was not trained on the task {text!r}"
+                f"{suggest(text, known)}; it knows: {', '.join(map(repr, known))}."
+            )
+        return known.index(text)
+
+    @torch.no_grad()
+    def predict_action_chunk(
+        self, batch: dict[str, Any], **kwargs: Any
+    ) -> torch.Tensor:
+        """Return raw actions (B, H, A)."""
+        del kwargs
+        self.eval()
+        with set_exploration_type(ExplorationType.DETERMINISTIC):
+            chunk: torch.Tensor = self.actor(self._rows(batch))[keys.ACTION]
+        return chunk
+
+    @torch.no_grad()
+    def select_action(self, batch: dict[str, Any], **kwargs: Any) -> torch.Tensor:
+        """Return the next action (B, A) of the present chunk, or of a new one."""
+        if not self._queue:
+            chunk = self.predict_action_chunk(batch, **kwargs)
+            self._queue.extend(chunk[:, : self.config.n_action_steps].unbind(1))
+        return self._queue.popleft()
+
+    def forward(
+        self, batch: dict[str, Any], reduction: str = "mean"
+    ) -> tuple[torch.Tensor, dict[str, float]]:
+        """Return the imitation loss, padding left out, for ``lerobot-train``."""
+        del reduction
+        rows = self._rows(batch)
+        loss = ImitationLoss(self.actor, functional=False)(rows)["loss_bc"]
+        return loss, {"loss_bc": float(loss.detach())}

@@ -1,0 +1,81 @@
+"""How much better than expected each decision of a rollout was."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from torchrl.objectives.llm import MCAdvantage
+
+from rlco import keys
+from rlco.errors import NoSignalError
+
+#: By a critic and GAE, or by Monte-Carlo returns within groups, without a critic.
+Advantage = Literal["gae", "mc"]
+
+
+def normalize(advantage: torch.Tensor, broken: torch.Tensor) -> torch.Tensor:
+    """Give a rollout's advantages mean 0 and deviation 1; broken decisions get 0.
+
+    Args:
+        advantage: (N, T, 1).
+        broken: where the simulation diverged, bool, (N, T, 1).
+    """
+    sound = advantage[~broken]
+    scaled = (advantage - sound.mean()) / (sound.std() + 1e-5)
+    return scaled.masked_fill(broken, 0.0)
+
+
+def group_advantages(rollout: TensorDictBase, group_size: int) -> torch.Tensor:
+    """Compare each episode's return with its group's; all its decisions share that.
+
+    TorchRL's :class:`~torchrl.objectives.llm.MCAdvantage`: with the returns R of
+    ``group_size`` neighbours, which started alike, ``(R_i - mean) / std``, and 0 where
+    all are equal. An episode in which the simulation diverged teaches nothing: its
+    advantages are 0.
+
+    Args:
+        rollout: whole episodes, batch size (N, T).
+        group_size: episodes of a group; it divides N.
+
+    Returns:
+        (N, T, 1).
+
+    Example:
+        >>> reward = torch.tensor([[[0.0], [1.0]], [[0.0], [0.0]]])
+        >>> diverged = torch.zeros(2, 2, 1, dtype=torch.bool)
+        >>> rollout = TensorDict(
+        ...     {"next": {"reward": reward, "diverged": diverged}}, [2, 2])
+        >>> group_advantages(rollout, 2).squeeze(-1)
+        tensor([[ 0.7071,  0.7071],
+                [-0.7071, -0.7071]])
+    """
+    n, t = rollout.batch_size
+    reward = rollout["next", keys.REWARD]
+    done = torch.zeros(n, t, 1, dtype=torch.bool)
+    done[:, -1] = True
+    group = (torch.arange(n) // group_size).unsqueeze(-1).expand(n, t)
+    episodes = TensorDict(
+        {"group": group, "next": {keys.REWARD: reward, keys.DONE: done}}, [n, t]
+    )
+    compare = MCAdvantage(group_size, prompt_key="group", trajectory_return="sum")
+    advantage: torch.Tensor = compare.inv(episodes)[keys.ADVANTAGE].view(n, t, 1)
+    broken = rollout["next", keys.DIVERGED].any(1, keepdim=True)
+    return advantage.masked_fill(broken, 0.0)
+
+
+def check_signal(rollout: TensorDictBase) -> None:
+    """Check that a rollout tells better actions from worse ones.
+
+    Without it a policy that solves nothing under a sparse reward trains for hours on
+    advantages that are zero, or a critic's noise, while all curves look healthy.
+
+    Raises:
+        NoSignalError: all rewards are equal, or all advantages 0.
+    """
+    reward = rollout["next", keys.REWARD]
+    if bool((reward != reward.flatten()[0]).any()) and rollout[keys.ADVANTAGE].any():
+        return
+    solved = rollout["next", keys.SUCCESS][:, -1]
+    raise NoSignalError(int(solved.sum()), solved.numel())

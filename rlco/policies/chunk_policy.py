@@ -1,0 +1,129 @@
+"""What the small policies share: what they read, and the units of their actions."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import InteractionType, TensorDictModuleBase
+from tensordict.nn.probabilistic import interaction_type
+
+from rlco.errors import ConfigError, DataError
+from rlco.keys import ACTION, CHUNK, LOG_PROB, SAMPLE
+from rlco.policies.encoder import ObservationEncoder, Quantiles, read
+from rlco.policies.normalizer import QuantileNormalizer
+
+#: An action number that moved less than this in the demonstrations (raw units; the
+#: limits are 2 apart) keeps this range: see :class:`ChunkPolicy`.
+MIN_ACTION_RANGE = 0.2
+_SAMPLED = (None, InteractionType.RANDOM)
+
+
+class ChunkPolicy(TensorDictModuleBase):
+    """Base of the policies that rlco builds itself: an encoder and a normaliser.
+
+    Samples, losses and log-probabilities live in the normalised action space, where
+    the 1 % and 99 % quantiles of the demonstrated actions are -1 and 1. Raw actions
+    are clipped to the action limits [-1, 1].
+
+    An action number that hardly moves in the demonstrations is not squeezed onto its
+    one value: its range is widened to ``MIN_ACTION_RANGE`` = 0.2 about that value, so
+    that exploration there stays small without being switched off: noise in a rotation
+    that no demonstration uses would add up over an episode.
+
+    Args:
+        state_size: numbers in the state.
+        chunk: steps H of a chunk.
+        action_size: action numbers A.
+        environment_state_size: numbers in the environment state; 0: not read.
+        num_instructions: instructions to tell apart; 0: not read.
+
+    Raises:
+        ConfigError: sizes that are not positive.
+    """
+
+    kind: ClassVar[str]
+    #: What a rollout has to keep to recompute log-probabilities.
+    replay_keys: list[Any]
+
+    def __init__(
+        self,
+        state_size: int,
+        *,
+        chunk: int,
+        action_size: int,
+        environment_state_size: int,
+        num_instructions: int,
+    ) -> None:
+        super().__init__()
+        if chunk < 1 or action_size < 1:
+            raise ConfigError(
+                [f"chunk={chunk} and action_size={action_size} must be at least 1"]
+            )
+        self.arguments: dict[str, Any] = {
+            "state_size": state_size,
+            "chunk": chunk,
+            "action_size": action_size,
+            "environment_state_size": environment_state_size,
+            "num_instructions": num_instructions,
+        }
+        self.chunk, self.action_size = chunk, action_size
+        self.encoder = ObservationEncoder(
+            state_size, environment_state_size, num_instructions
+        )
+        self.action_normalizer = QuantileNormalizer(
+            action_size, name="action", min_range=MIN_ACTION_RANGE
+        )
+        self.in_keys = self.encoder.in_keys
+        self.dist_sample_keys: list[Any] = [SAMPLE]
+        self.log_prob_keys: list[Any] = [LOG_PROB]
+        self.replay_keys = [*self.in_keys, SAMPLE]
+        self.out_keys = [SAMPLE, LOG_PROB, CHUNK, ACTION]
+
+    def set_normalization(
+        self,
+        *,
+        state: Quantiles | None = None,
+        environment_state: Quantiles | None = None,
+        action: Quantiles | None = None,
+    ) -> None:
+        """Fix the normalisation, once, before Stage I, from quantiles (low, high).
+
+        Args:
+            state: quantiles of the state, each of shape (state_size,), raw units.
+            environment_state: quantiles of the environment state.
+            action: quantiles of the action numbers, each of shape (action_size,).
+
+        Raises:
+            DataError: quantiles of another size, not finite, or of what is not read.
+        """
+        self.encoder.set_normalization(state=state, environment_state=environment_state)
+        if action is not None:
+            self.action_normalizer.set_quantiles(*action)
+
+    @property
+    def explores(self) -> bool:
+        """Whether TorchRL's exploration type asks for a random sample."""
+        return interaction_type() in _SAMPLED
+
+    def demonstrated(self, tensordict: TensorDictBase) -> torch.Tensor:
+        """Return the demonstrated chunk, normalised, [B, H, A].
+
+        Raises:
+            DataError: the chunk is missing or of another shape than the policy's.
+        """
+        target: torch.Tensor = self.action_normalizer(read(tensordict, CHUNK))
+        shape = (*tensordict.batch_size, self.chunk, self.action_size)
+        if target.shape != shape:
+            raise DataError(
+                f"demonstrated chunks have shape {tuple(target.shape)}, the policy's "
+                f"{shape}; build both with the same chunk length."
+            )
+        return target
+
+    def act(self, tensordict: TensorDictBase, normalized: torch.Tensor) -> None:
+        """Write the chunk and the action of a normalised chunk [B, H, A]."""
+        raw = self.action_normalizer.inverse(normalized).clamp(-1.0, 1.0)
+        tensordict.set(CHUNK, raw)
+        tensordict.set(ACTION, raw)

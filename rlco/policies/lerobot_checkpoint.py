@@ -1,0 +1,220 @@
+"""LeRobot's checkpoint folders: loaded whole, or not at all."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from lerobot.configs import PreTrainedConfig
+from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+from lerobot.policies.pi05.configuration_pi05 import PI05Config
+from lerobot.policies.pi05.modeling_pi05 import PI05Policy
+from lerobot.policies.smolvla.configuration_smolvla import SmolVLAConfig
+from lerobot.utils.import_utils import register_third_party_plugins
+from safetensors import SafetensorError
+from safetensors.torch import load_file
+from torch import nn
+
+from rlco.errors import CheckpointError
+from rlco.policies.lerobot_flow import FlowModel
+from rlco.policies.lerobot_inputs import Stats, check_statistics
+from rlco.policies.lerobot_pi05 import Pi05Model
+from rlco.policies.lerobot_smolvla import SmolVLAModel
+
+WEIGHTS = "model.safetensors"
+
+
+@dataclass
+class LeRobotCheckpoint:
+    """What a checkpoint folder holds.
+
+    Attributes:
+        folder: where it was loaded from.
+        model: LeRobot's policy, in the halves that rlco trains it by.
+        preprocessor: LeRobot's pipeline from raw observations to the model's input.
+        postprocessor: LeRobot's pipeline from the model's actions to raw ones.
+    """
+
+    folder: Path
+    model: FlowModel
+    preprocessor: Any
+    postprocessor: Any
+
+    @property
+    def config(self) -> Any:
+        """LeRobot's configuration of the policy."""
+        return self.model.policy.config
+
+
+def load_lerobot(
+    folder: str | os.PathLike[str],
+    *,
+    action_size: int | None = None,
+    tokenizer: str | os.PathLike[str] | None = None,
+    stats: Stats | None = None,
+    device: str | None = None,
+) -> LeRobotCheckpoint:
+    """Return the policy and the processors of a checkpoint of pi0.5 or SmolVLA.
+
+    Args:
+        folder: LeRobot's ``pretrained_model``, with ``config.json``,
+            ``model.safetensors`` and both processors.
+        action_size: A, action numbers of the robot or the task, checked.
+        tokenizer: folder of the tokenizer, for machines without a network; of SmolVLA,
+            the folder of its whole vision-language model's configuration.
+        stats: statistics in place of the processors' own, see
+            :func:`rlco.policies.lerobot_inputs.dataset_stats`.
+        device: where to; by default the checkpoint's own, or what there is.
+
+    Raises:
+        CheckpointError: a file is missing or damaged; the policy is of another type or
+            action size; a weight is missing, unknown or of another shape; statistics
+            are missing; or there is no tokenizer.
+    """
+    path = Path(folder).resolve()
+    config = _read_config(path, device)
+    _check_actions(path, config, action_size)
+    if tokenizer is not None and hasattr(config, "vlm_model_name"):
+        config.vlm_model_name = str(Path(tokenizer).resolve())
+    # The processors first: they are quick, and what is wrong shows in them.
+    processors = _load_processors(path, config, tokenizer, stats)
+    check_statistics(path, config, processors[0])
+    build = SmolVLAModel if isinstance(config, SmolVLAConfig) else Pi05Model
+    model = build(get_policy_class(config.type)(config))
+    _load_weights(model, path / WEIGHTS)
+    model.policy.to(config.device).eval()
+    return LeRobotCheckpoint(path, model, *processors)
+
+
+def _read_config(folder: Path, device: str | None) -> Any:
+    if not (folder / "config.json").is_file():
+        raise CheckpointError(
+            f"{str(folder)!r} has no config.json; give LeRobot's folder "
+            "pretrained_model, which lies in checkpoints/LAST of a training run."
+        )
+    # Types of installed plugins are known only after this.
+    register_third_party_plugins()
+    try:
+        config = PreTrainedConfig.from_pretrained(folder)
+    except ValueError as error:
+        raise CheckpointError(
+            f"{str(folder / 'config.json')!r} is no configuration that LeRobot can "
+            f"read ({error}); install the plugin that has its type."
+        ) from error
+    if not isinstance(config, PI05Config | SmolVLAConfig):
+        raise CheckpointError(
+            f"the checkpoint {str(folder)!r} is of the type {config.type!r}, whose "
+            "actions have no log-probability (they come from a regression or another "
+            "sampler); rlco trains pi05 and smolvla, and OpenVLA by load_openvla."
+        )
+    config.pretrained_path = folder
+    if device is not None:
+        config.device = device
+    return config
+
+
+def _check_actions(folder: Path, config: Any, action_size: int | None) -> None:
+    feature = config.action_feature
+    if feature is None:
+        raise CheckpointError(
+            f"the checkpoint {str(folder)!r} has no action feature in its config.json; "
+            "fine-tune it on a data set first, as the published bases need."
+        )
+    size = feature.shape[0]
+    if action_size is not None and size != action_size:
+        raise CheckpointError(
+            f"the checkpoint {str(folder)!r} has {size} action numbers, the robot or "
+            f"the task {action_size}; give a checkpoint that was trained on it."
+        )
+
+
+def _load_processors(
+    folder: Path,
+    config: Any,
+    tokenizer: str | os.PathLike[str] | None,
+    stats: Stats | None,
+) -> tuple[Any, Any]:
+    before: dict[str, Any] = {"device_processor": {"device": config.device}}
+    after: dict[str, Any] = {}
+    if tokenizer is not None:
+        name = str(Path(tokenizer).resolve())
+        before["tokenizer_processor"] = {"tokenizer_name": name}
+    if stats is not None:
+        before["normalizer_processor"] = {"stats": stats}
+        after["unnormalizer_processor"] = {"stats": stats}
+    try:
+        processors: tuple[Any, Any] = make_pre_post_processors(
+            config,
+            pretrained_path=str(folder),
+            preprocessor_overrides=before,
+            postprocessor_overrides=after,
+        )
+    except FileNotFoundError as error:
+        raise CheckpointError(
+            f"the checkpoint {str(folder)!r} lacks a processor ({error}); write it "
+            "anew with LeRobot 0.6, which keeps the statistics in the processors."
+        ) from error
+    except (OSError, ValueError) as error:
+        raise CheckpointError(
+            f"a processor of the checkpoint {str(folder)!r} cannot be built "
+            f"({_first_line(error)}); where it is the tokenizer that is not on this "
+            "machine, give its folder by tokenizer=FOLDER."
+        ) from error
+    return processors
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).strip().splitlines()[0].rstrip(".") if str(error) else "no reason"
+
+
+def _load_weights(model: FlowModel, file: Path) -> None:
+    """Fill the policy; LeRobot's own loading prints what is missing and goes on."""
+    policy = model.policy
+    try:
+        found = load_file(file)
+    except (OSError, SafetensorError) as error:
+        raise CheckpointError(
+            f"cannot read the weights {str(file)!r} ({error}); copy them again."
+        ) from error
+    ours = policy.state_dict()
+    if isinstance(policy, PI05Policy) and found.keys() != ours.keys():
+        # Names of openpi's own.
+        found = policy._fix_pytorch_state_dict_keys(found, policy.config)
+        found = {
+            k if k.startswith("model.") else f"model.{k}": v for k, v in found.items()
+        }
+    problems = [
+        f"{name} has shape {tuple(found[name].shape)}, expected {tuple(value.shape)}"
+        for name, value in ours.items()
+        if name in found and found[name].shape != value.shape
+    ]
+    needless = _names(policy, model.unused_modules())
+    shared = _shared(ours, found)
+    problems += [
+        f"{name} is missing"
+        for name in ours
+        if name not in found and name not in shared and name not in needless
+    ]
+    problems += [f"{name} is not expected" for name in found if name not in ours]
+    if problems:
+        more = f" (and {len(problems) - 3} more)" if len(problems) > 3 else ""
+        raise CheckpointError(
+            f"the weights {str(file)!r} are not those of its config.json: "
+            f"{'; '.join(problems[:3])}{more}; copy the folder again, whole."
+        )
+    policy.load_state_dict(found, strict=False)
+
+
+def _shared(ours: dict[str, Any], found: dict[str, Any]) -> set[str]:
+    """Return the names whose tensor a found name fills too."""
+    filled = {ours[name].data_ptr() for name in found if name in ours}
+    return {name for name, value in ours.items() if value.data_ptr() in filled}
+
+
+def _names(policy: nn.Module, modules: list[nn.Module]) -> set[str]:
+    """Return the names of these modules' weights in the policy."""
+    wanted = {id(p) for module in modules for p in module.parameters()}
+    named = policy.named_parameters(remove_duplicate=False)
+    return {name for name, parameter in named if id(parameter) in wanted}

@@ -1,0 +1,121 @@
+"""Trained LeRobot policies, written as LeRobot's own checkpoints."""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import torch
+from lerobot.common.train_utils import save_checkpoint, update_last_checkpoint
+from lerobot.configs.default import DatasetConfig
+from lerobot.configs.train import TrainPipelineConfig
+from lerobot.optim.optimizers import AdamWConfig
+
+from rlco.errors import CheckpointError
+from rlco.policies.lerobot_checkpoint import LeRobotCheckpoint
+from rlco.policies.lora import has_lora, merged_state
+from rlco.state_files import load_state, save_state
+
+#: Beside ``pretrained_model``: what LeRobot has no place for.
+BESIDE = "rlco_state"
+
+
+def save_lerobot(
+    checkpoint: LeRobotCheckpoint,
+    folder: str | os.PathLike[str],
+    *,
+    step: int,
+    data: str | os.PathLike[str] | None = None,
+    optimizer: torch.optim.Optimizer | None = None,
+    beside: Mapping[str, Any] | None = None,
+) -> Path:
+    """Write a checkpoint that ``lerobot-eval`` runs and ``lerobot-train`` resumes.
+
+    LeRobot itself writes it: its configuration, whose type stays what it was, the
+    weights with adapters merged in, the processors with the statistics that the policy
+    was trained with, and the training's state. ``model.safetensors`` holds nothing
+    else.
+
+    Args:
+        checkpoint: what was loaded, trained since.
+        folder: of the run; the checkpoint goes into ``checkpoints/STEP`` below it.
+        step: updates done.
+        data: the data set that ``lerobot-train --resume`` goes on with, a local
+            folder; None: the one of the checkpoint, if it names one.
+        optimizer: AdamW over ``policy.parameters()``, for resuming; None: a fresh one.
+        beside: what else resuming needs (critic, noise, adapters), by name; each goes
+            into a file of its own in ``rlco_state``.
+
+    Returns:
+        The folder ``pretrained_model``, for ``--policy.path``.
+
+    Raises:
+        CheckpointError: the folder holds a checkpoint of this step already.
+    """
+    policy = checkpoint.model.policy
+    config = _train_config(checkpoint, Path(folder), step, data)
+    target = Path(folder) / "checkpoints" / f"{step:06d}"
+    if target.exists():
+        raise CheckpointError(
+            f"{str(target)!r} exists and is not overwritten; give another folder."
+        )
+    # With adapters, what was optimised is not what is written.
+    if optimizer is None or has_lora(policy):
+        optimizer = config.optimizer.build(policy.parameters())
+    state = merged_state(policy) if has_lora(policy) else None
+    save_checkpoint(
+        target,
+        step,
+        config,
+        policy,
+        optimizer,
+        preprocessor=checkpoint.preprocessor,
+        postprocessor=checkpoint.postprocessor,
+        num_processes=1,
+        batch_size=config.batch_size,
+        model_state_dict=state,
+    )
+    (target / BESIDE).mkdir()
+    for name, value in (beside or {}).items():
+        save_state(target / BESIDE / f"{name}.safetensors", value)
+    update_last_checkpoint(target)
+    return target / "pretrained_model"
+
+
+def load_beside(folder: str | os.PathLike[str], name: str) -> Any | None:
+    """Return what :func:`save_lerobot` wrote beside a ``pretrained_model``, or None."""
+    path = Path(folder).resolve().parent / BESIDE / f"{name}.safetensors"
+    return load_state(path) if path.is_file() else None
+
+
+def _train_config(
+    checkpoint: LeRobotCheckpoint,
+    folder: Path,
+    step: int,
+    data: str | os.PathLike[str] | None,
+) -> TrainPipelineConfig:
+    """Return the configuration that ``--resume`` reads."""
+    source = checkpoint.folder / "train_config.json"
+    policy = copy.copy(checkpoint.config)
+    if source.is_file():
+        config = TrainPipelineConfig.from_pretrained(checkpoint.folder)
+        config.policy = policy
+    else:
+        config = TrainPipelineConfig(
+            dataset=DatasetConfig(repo_id="local/none"), policy=policy
+        )
+    if data is not None:
+        root = Path(data).resolve()
+        config.dataset = DatasetConfig(repo_id=f"local/{root.name}", root=str(root))
+    config.output_dir = folder.resolve()
+    config.steps = max(config.steps, step)
+    if config.optimizer is None:
+        preset = policy.get_optimizer_preset()
+        config.optimizer = preset if isinstance(preset, AdamWConfig) else AdamWConfig()
+    # The schedule's own state would be of another training.
+    config.scheduler = None
+    config.resume = False
+    return config

@@ -1,0 +1,95 @@
+"""SmolVLA as LeRobot has it, in the two halves that flow policies need."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from lerobot.policies.common.vla_utils import make_att_2d_masks
+from lerobot.utils.constants import OBS_LANGUAGE_ATTENTION_MASK, OBS_LANGUAGE_TOKENS
+from torch import nn
+
+from rlco.policies.lerobot_flow import Batch, captured_input, refuse
+from rlco.policies.prefix_cache import Prefix
+
+
+class SmolVLAModel:
+    """The halves of ``lerobot.policies.smolvla.SmolVLAPolicy``.
+
+    The state is the prefix's last position, by way of a projection that LeRobot trains
+    together with the expert: to train the expert alone is to freeze it too.
+
+    Args:
+        policy: LeRobot's policy.
+
+    Raises:
+        CheckpointError: the checkpoint converts actions to those of ALOHA, or keeps no
+            cache.
+    """
+
+    def __init__(self, policy: Any) -> None:
+        config = policy.config
+        if config.adapt_to_pi_aloha:
+            refuse(
+                config.pretrained_path,
+                "adapt_to_pi_aloha=true",
+                "which changes batches in place",
+            )
+        if not config.use_cache:
+            refuse(
+                config.pretrained_path,
+                "use_cache=false",
+                "without which every denoising step would recompute images and text",
+            )
+        self.policy = policy
+        self.model = policy.model
+        self.hidden_size: int = self.model.action_out_proj.in_features
+        self.summary_size: int = self.model.state_proj.out_features
+        self.steps: int = config.num_steps
+
+    def prefix(self, batch: Batch) -> Prefix:
+        """Pass images, text and state through SmolVLM, as LeRobot's sampling does."""
+        images, image_masks = self.policy.prepare_images(batch)
+        embedded, mask, attends = self.model.embed_prefix(
+            images,
+            image_masks,
+            batch[OBS_LANGUAGE_TOKENS],
+            batch[OBS_LANGUAGE_ATTENTION_MASK],
+            state=self.policy.prepare_state(batch),
+        )
+        (hidden, _), cache = self.model.vlm_with_expert.forward(
+            attention_mask=make_att_2d_masks(mask, attends),
+            position_ids=torch.cumsum(mask, dim=1) - 1,
+            past_key_values=None,
+            inputs_embeds=[embedded, None],
+            use_cache=True,
+        )
+        return Prefix.of(cache, mask, hidden)
+
+    def velocity(
+        self, prefix: Prefix, x: torch.Tensor, time: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Pass noisy actions through the expert, once."""
+        with captured_input(self.model.action_out_proj) as seen:
+            velocity = self.model.denoise_step(
+                prefix_pad_masks=prefix.mask,
+                past_key_values=prefix.cache(),
+                x_t=x,
+                timestep=time,
+            )
+        return velocity, seen[0]
+
+    def prefix_modules(self) -> list[nn.Module]:
+        """Return SmolVLM and the projection of the state."""
+        return [self.model.vlm_with_expert.vlm, self.model.state_proj]
+
+    def unused_modules(self) -> list[nn.Module]:
+        """Return nothing."""
+        return []
+
+    def gradient_checkpointing(self) -> bool:
+        """Return whether a language model in it recomputes its activations."""
+        return any(
+            getattr(module, "gradient_checkpointing", False)
+            for module in self.model.modules()
+        )

@@ -1,0 +1,68 @@
+"""A critic on what the vision-language model says of an observation."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+
+from rlco.keys import STATE_VALUE
+from rlco.policies.mlp import Mlp
+from rlco.policies.prefix_cache import SUMMARY, Prefix
+
+
+class PrefixCritic(TensorDictModuleBase):
+    """Expected return, from the summary that the policy writes beside its sample.
+
+    It costs no pass of its own through the model, and its gradient never moves the
+    policy: the summary is stored, not computed anew.
+
+    Args:
+        summary_size: numbers W of a summary.
+        hidden: width of each hidden layer.
+
+    Example:
+        >>> from tensordict import TensorDict
+        >>> critic = PrefixCritic(8, hidden=(16,))
+        >>> td = TensorDict({"vla_prefix": {"summary": torch.randn(5, 8)}}, [5])
+        >>> critic(td)["state_value"].shape
+        torch.Size([5, 1])
+    """
+
+    def __init__(
+        self, summary_size: int, *, hidden: Sequence[int] = (512, 256, 128)
+    ) -> None:
+        super().__init__()
+        # Language models' states are far from unit size.
+        self.norm = torch.nn.LayerNorm(summary_size)
+        self.network = Mlp(summary_size, 1, hidden=hidden, gain=0.02)
+        self.in_keys = [SUMMARY]
+        self.out_keys = [STATE_VALUE]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Write ``state_value`` [*B, 1] into ``tensordict``."""
+        summary = tensordict.get(SUMMARY)
+        value = self.network(self.norm(summary.to(self.norm.weight)))
+        tensordict.set(STATE_VALUE, value.to(summary.device))
+        return tensordict
+
+
+def add_next_summaries(
+    rollout: TensorDictBase, prefix: Callable[[TensorDictBase], Prefix]
+) -> None:
+    """Give the next observations of a rollout [N, T] their summaries too.
+
+    The next observation of a decision is the observation of the one after it, which
+    the policy has seen already; that of the last one passes through the model.
+
+    Args:
+        rollout: whole episodes, one a row, summaries beside the observations.
+        prefix: of a batch of observations, the policy's.
+    """
+    last = rollout["next"][:, -1]
+    with torch.no_grad():
+        final = prefix(last).summary.to(rollout[SUMMARY].device)
+    following = torch.cat([rollout[SUMMARY][:, 1:], final.unsqueeze(1)], 1)
+    rollout.set(("next", *SUMMARY), following)

@@ -1,0 +1,116 @@
+"""rlco's small policies behind LeRobot's interface."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from lerobot.configs import PreTrainedConfig
+from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+from lerobot_policy_rlco.export import export_policy
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from rlco.errors import DataError, OutputExistsError
+from rlco.policies import make_policy, save_policy
+
+INSTRUCTIONS = ["push the red cube", "push the blue cube"]
+KINDS = ("gaussian", "token", "flow")
+
+
+def trained(kind: str) -> Any:
+    torch.manual_seed(0)
+    policy = make_policy(
+        kind,
+        state_size=3,
+        environment_state_size=2,
+        num_instructions=2,
+        chunk=4,
+        action_size=7,
+        hidden=(16,),
+    )
+    for parameter in policy.parameters():
+        torch.nn.init.normal_(parameter, 0.0, 0.3)
+    policy.set_normalization(state=([-2.0] * 3, [3.0] * 3))
+    return policy
+
+
+@pytest.fixture
+def exported(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Any, Path]:
+    policy = trained(getattr(request, "param", "gaussian"))
+    save_policy(policy, tmp_path / "ours", extra={"instructions": INSTRUCTIONS})
+    path = export_policy(tmp_path / "ours", tmp_path / "theirs", executed=2)
+    return policy, path
+
+
+def batch(count: int = 3) -> dict[str, Any]:
+    torch.manual_seed(1)
+    return {
+        "observation.state": torch.randn(count, 3),
+        "observation.environment_state": torch.randn(count, 2),
+        "task": [INSTRUCTIONS[i % 2] for i in range(count)],
+    }
+
+
+@pytest.mark.parametrize("exported", KINDS, indirect=True)
+def test_lerobot_acts_as_the_policy_does(exported: tuple[Any, Path]) -> None:
+    policy, path = exported
+    config = PreTrainedConfig.from_pretrained(path)
+    assert config.type == "rlco"
+    theirs = get_policy_class("rlco").from_pretrained(path, config=config)
+    pre, post = make_pre_post_processors(config, pretrained_path=str(path))
+    given = batch()
+    td = TensorDict(
+        {
+            "observation": {
+                "state": given["observation.state"],
+                "environment_state": given["observation.environment_state"],
+            },
+            "instruction_id": torch.tensor([0, 1, 0]),
+        },
+        [3],
+    )
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        expected = policy(td)["action"]
+    # Two steps of each chunk are executed, then the next chunk begins.
+    seen = [post(theirs.select_action(pre(batch()))) for _ in range(3)]
+    for step, action in zip((0, 1, 0), seen, strict=True):
+        torch.testing.assert_close(action, expected[:, step])
+    theirs.select_action(pre(batch()))
+    theirs.select_action(pre(batch()))
+    theirs.reset()
+    torch.testing.assert_close(post(theirs.select_action(pre(batch()))), expected[:, 0])
+
+
+def test_lerobot_trains_it_by_imitation(exported: tuple[Any, Path]) -> None:
+    policy, path = exported
+    config = PreTrainedConfig.from_pretrained(path)
+    theirs = get_policy_class("rlco").from_pretrained(path, config=config)
+    assert config.action_delta_indices == [0, 1, 2, 3]
+    given = batch() | {
+        "action": torch.rand(3, 4, 7),
+        "action_is_pad": torch.tensor([[False, False, True, True]] * 3),
+    }
+    loss, _ = theirs.forward(given)
+    rows = theirs._rows(given)
+    steps = policy.imitation_loss(rows)
+    torch.testing.assert_close(loss, steps[:, :2].mean())
+    loss.backward()
+    assert any(p.grad is not None for p in theirs.get_optim_params())
+
+
+def test_a_text_that_was_never_trained_is_refused(exported: tuple[Any, Path]) -> None:
+    _, path = exported
+    config = PreTrainedConfig.from_pretrained(path)
+    theirs = get_policy_class("rlco").from_pretrained(path, config=config)
+    given = batch() | {"task": ["push the red cub"] * 3}
+    with pytest.raises(DataError, match="did you mean 'push the red cube'"):
+        theirs.select_action(given)
+
+
+def test_an_exported_policy_is_not_overwritten(exported: tuple[Any, Path]) -> None:
+    _, path = exported
+    with pytest.raises(OutputExistsError):
+        export_policy(path.parent / "ours", path)

@@ -1,0 +1,127 @@
+"""A LeRobot checkpoint in, co-trained, and out again, through stock commands."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import logging
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from lerobot.scripts import lerobot_eval, lerobot_train
+from safetensors.torch import load_file
+from vla_files import record, tiny_with_statistics
+
+from rlco.run import run_recipe
+
+RECIPES = Path(__file__).parents[2] / "recipes"
+
+
+@pytest.fixture(autouse=True)
+def offline(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """No network; LeRobot's commands leave the loggers as they were."""
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    root = logging.getLogger()
+    handlers, level = list(root.handlers), root.level
+    yield
+    root.handlers[:], root.level = handlers, level
+
+
+@pytest.fixture(scope="module")
+def tiny(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return tiny_with_statistics(tmp_path_factory.mktemp("tiny"))
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return record(tmp_path_factory.mktemp("data") / "real")
+
+
+@pytest.fixture(scope="module")
+def trained(tiny: Path, real: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Co-train for two rollouts; return LeRobot's folder of the last."""
+    out = tmp_path_factory.mktemp("run") / "co_train"
+    sys.path.insert(0, str(RECIPES))
+    recipe: Any = importlib.import_module("lerobot_co_train")
+    arguments = ["config=debug", f"policy={tiny}", f"real_demos={real}", "lr=1e-3"]
+    run_recipe(recipe.main, recipe.Config, [*arguments, f"out={out}"])
+    last = out / "lerobot" / "checkpoints" / "last"
+    return last.resolve() / "pretrained_model"  # resuming moves the link
+
+
+def command(monkeypatch: pytest.MonkeyPatch, module: Any, *arguments: str) -> None:
+    """Run one of LeRobot's commands in this process."""
+    monkeypatch.setattr(sys, "argv", [module.__name__, *arguments])
+    module.main()
+
+
+def test_the_type_the_names_and_the_statistics_stay(tiny: Path, trained: Path) -> None:
+    before, after = (
+        json.loads((path / "config.json").read_text()) for path in (tiny, trained)
+    )
+    assert after["type"] == before["type"] == "smolvla"
+    for file in sorted(tiny.glob("*processor*.safetensors")):
+        old, new = load_file(file), load_file(trained / file.name)
+        assert old.keys() == new.keys()
+        assert all(torch.equal(old[name], new[name]) for name in old)
+    old, new = (load_file(path / "model.safetensors") for path in (tiny, trained))
+    assert old.keys() == new.keys()
+    moved = {name for name in old if not torch.equal(old[name], new[name])}
+    assert moved
+    assert not any(".vlm." in name or "state_proj" in name for name in moved)
+    beside = {file.name for file in (trained.parent / "rlco_state").iterdir()}
+    assert {"critic.safetensors", "noise.safetensors"} <= beside
+
+
+def test_stock_lerobot_eval_runs_it(
+    trained: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command(
+        monkeypatch,
+        lerobot_eval,
+        f"--policy.path={trained}",
+        "--env.type=rlco",
+        "--env.task=push_cube",
+        "--env.camera=front",
+        "--env.image_size=64",
+        "--env.horizon=6",
+        "--eval.n_episodes=2",
+        "--eval.batch_size=2",
+        "--eval.use_async_envs=false",
+        f"--output_dir={tmp_path}",
+    )
+    told = json.loads((tmp_path / "eval_info.json").read_text())
+    assert told["overall"]["n_episodes"] == 2
+    assert len(told["overall"]["video_paths"]) == 2
+
+
+def test_stock_lerobot_train_resumes_it(
+    trained: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    command(
+        monkeypatch,
+        lerobot_train,
+        f"--config_path={trained / 'train_config.json'}",
+        "--resume=true",
+        "--steps=4",
+        "--batch_size=4",
+        "--num_workers=0",
+        "--save_freq=2",
+        "--wandb.enable=false",
+        "--policy.push_to_hub=false",
+    )
+    before, after = trained.parent, trained.parents[1] / "000004"
+    step = json.loads((after / "training_state" / "training_step.json").read_text())
+    assert step["step"] == 4
+    # Its optimiser went on with our moments: as many steps behind them as both did.
+    ours, theirs = (
+        load_file(path / "training_state" / "optimizer_state.safetensors")
+        for path in (before, after)
+    )
+    counts = {name for name in ours if name.endswith("/step")}
+    assert counts
+    assert all(float(theirs[n]) == float(ours[n]) + 2 for n in counts)

@@ -1,0 +1,263 @@
+"""LeRobot's folders: loaded whole, refused otherwise, and written for LeRobot."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from lerobot.configs import PreTrainedConfig
+from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+from safetensors.torch import load_file, save_file
+from vla_cases import KINDS, actor, folder, rows
+
+from rlco.errors import CheckpointError
+from rlco.policies.lerobot_checkpoint import load_lerobot
+from rlco.policies.lerobot_export import load_beside, save_lerobot
+from rlco.policies.lerobot_inputs import dataset_stats
+from rlco.policies.lerobot_policies import LeRobotPolicy
+from rlco.policies.lerobot_trained import add_expert_lora
+
+both = pytest.mark.parametrize("kind", KINDS)
+Weights = dict[str, torch.Tensor]
+
+
+@pytest.fixture
+def copied(tmp_path: Path) -> Path:
+    path = tmp_path / "pretrained_model"
+    shutil.copytree(folder("smolvla"), path)
+    return path
+
+
+def rewrite(path: Path, change: Callable[[Weights], object]) -> None:
+    weights = load_file(path / "model.safetensors")
+    change(weights)
+    save_file(weights, path / "model.safetensors")
+
+
+def configure(path: Path, **values: Any) -> None:
+    file = path / "config.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | values))
+
+
+@both
+def test_every_weight_comes_from_the_file(kind: str) -> None:
+    loaded = load_lerobot(folder(kind)).model.policy.state_dict()
+    saved = load_file(folder(kind) / "model.safetensors")
+    assert saved
+    for name, value in saved.items():
+        assert torch.equal(loaded[name], value), name
+
+
+def test_names_without_lerobots_prefix_are_those_of_openpi(tmp_path: Path) -> None:
+    path = tmp_path / "pi05"
+    shutil.copytree(folder("pi05"), path)
+    weights = load_file(path / "model.safetensors")
+    renamed = {name.removeprefix("model."): value for name, value in weights.items()}
+    save_file(renamed, path / "model.safetensors")
+    loaded = load_lerobot(path).model.policy.state_dict()
+    assert all(torch.equal(loaded[name], value) for name, value in weights.items())
+
+
+EXPERT = "model.vlm_with_expert.lm_expert.layers.0.mlp.up_proj.weight"
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda w: w.pop(EXPERT), f"{EXPERT} is missing"),
+        (
+            lambda w: w.update({"value_head.weight": torch.zeros(1)}),
+            "value_head.weight is not expected",
+        ),
+        (
+            lambda w: w.update({EXPERT: w[EXPERT][:-1].clone()}),
+            r"shape \(255, 36\), expected \(256, 36\)",
+        ),
+    ],
+)
+def test_a_load_that_leaves_a_weight_unset_fails(
+    copied: Path, change: Callable[[Weights], object], message: str
+) -> None:
+    rewrite(copied, change)
+    with pytest.raises(CheckpointError, match=message):
+        load_lerobot(copied)
+
+
+def test_a_missing_weight_file_is_no_random_model(copied: Path) -> None:
+    (copied / "model.safetensors").unlink()
+    with pytest.raises(CheckpointError, match="cannot read the weights"):
+        load_lerobot(copied)
+
+
+def test_a_checkpoint_of_another_action_size_is_refused() -> None:
+    with pytest.raises(CheckpointError, match=r"7 action numbers.*the task 6"):
+        load_lerobot(folder("smolvla"), action_size=6)
+
+
+def test_missing_statistics_are_refused_and_can_be_given(copied: Path) -> None:
+    file = next(copied.glob("policy_preprocessor_step_*_normalizer*.safetensors"))
+    kept = load_file(file)
+    save_file({k: v for k, v in kept.items() if k != "action.std"}, file)
+    with pytest.raises(CheckpointError, match=r"'action' by MEAN_STD.*no std"):
+        load_lerobot(copied)
+    data = np.random.default_rng(0).normal(size=(100, 7))
+    stats = dataset_stats(state=data, action=2 * data + 1)
+    checkpoint = load_lerobot(copied, stats=stats)
+    raw = checkpoint.postprocessor(torch.ones(1, 7))
+    expected = 2 * data.std(0) + (2 * data + 1).mean(0)
+    np.testing.assert_allclose(raw[0], expected, rtol=1e-5)
+
+
+def test_statistics_are_those_of_all_frames() -> None:
+    data = np.concatenate([np.zeros((90, 1)), np.full((10, 1), 10.0)])
+    found = dataset_stats(action=data)["action"]
+    assert float(found["mean"]) == pytest.approx(1.0)
+    assert float(found["std"]) == pytest.approx(3.0)
+    assert float(found["q99"]) == 10.0
+    assert float(found["q90"]) == pytest.approx(1.0)  # between frames 89 and 90
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"type": "act"}, "of the type 'act', whose actions have no log-probability"),
+        ({"type": "unheard_of"}, "install the plugin"),
+        ({"adapt_to_pi_aloha": True}, "adapt_to_pi_aloha=true"),
+        ({"use_cache": False}, "use_cache=false"),
+        ({"output_features": {}}, "no action feature"),
+    ],
+)
+def test_other_checkpoints_are_refused(
+    copied: Path, values: dict[str, Any], message: str
+) -> None:
+    if values.get("type") == "act":
+        raw = {"type": "act", "device": "cpu"}
+        (copied / "config.json").write_text(json.dumps(raw))
+    else:
+        configure(copied, **values)
+    with pytest.raises(CheckpointError, match=message):
+        load_lerobot(copied)
+
+
+def test_relative_actions_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "pi05"
+    shutil.copytree(folder("pi05"), path)
+    configure(path, use_relative_actions=True)
+    with pytest.raises(CheckpointError, match="use_relative_actions=true"):
+        load_lerobot(path)
+
+
+def test_a_folder_of_something_else_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(CheckpointError, match=r"no config\.json"):
+        load_lerobot(tmp_path)
+
+
+def test_a_missing_tokenizer_names_the_option(copied: Path, tmp_path: Path) -> None:
+    shutil.move(copied / "vlm", tmp_path / "moved")
+    file = copied / "policy_preprocessor.json"
+    gone = str(tmp_path / "gone")
+    file.write_text(file.read_text().replace(str(folder("smolvla") / "vlm"), gone))
+    configure(copied, vlm_model_name=gone)
+    with pytest.raises(CheckpointError, match="tokenizer=FOLDER"):
+        load_lerobot(copied)
+    checkpoint = load_lerobot(copied, tokenizer=tmp_path / "moved")
+    assert checkpoint.config.vlm_model_name == str(tmp_path / "moved")
+
+
+# -- Written for LeRobot ------------------------------------------------------------
+
+
+@both
+def test_what_is_saved_lerobot_loads_and_acts_as_trained(
+    kind: str, tmp_path: Path
+) -> None:
+    policy = actor(kind)
+    optimizer = torch.optim.AdamW(policy.policy.parameters(), lr=1e-2)
+    policy.imitation_loss(rows(4)).mean().backward()
+    optimizer.step()
+    checkpoint = load_lerobot(folder(kind))
+    checkpoint.model.policy.load_state_dict(policy.policy.state_dict())
+    saved = save_lerobot(
+        checkpoint,
+        tmp_path,
+        step=7,
+        optimizer=optimizer,
+        beside={"noise": dict(policy.noise.state_dict())},
+    )
+    assert saved == tmp_path / "checkpoints" / "000007" / "pretrained_model"
+    assert (tmp_path / "checkpoints" / "last").resolve() == saved.parent
+    before = load_file(folder(kind) / "model.safetensors")
+    after = load_file(saved / "model.safetensors")
+    assert before.keys() == after.keys()
+    changed = {name for name in before if not torch.equal(before[name], after[name])}
+    trained = {
+        name
+        for name, p in policy.policy.named_parameters()
+        if p.requires_grad and p.grad is not None
+    }
+    assert changed
+    assert changed <= trained
+    # Stock LeRobot, from the folder alone.
+    config = PreTrainedConfig.from_pretrained(saved)
+    assert config.type == load_lerobot(folder(kind)).config.type
+    theirs = get_policy_class(config.type).from_pretrained(saved, config=config)
+    pre, post = make_pre_post_processors(config, pretrained_path=str(saved))
+    batch = pre(
+        {
+            "observation.state": torch.zeros(2, 7),
+            "observation.images.front": torch.full((2, 3, 64, 64), 0.5),
+            "task": ["push the blue cube onto its mark"] * 2,
+        }
+    )
+    torch.manual_seed(0)
+    actions = post(theirs.predict_action_chunk(batch))
+    policy.policy.eval()
+    torch.manual_seed(0)
+    # Un-normalising by quantiles -1 and 1 rounds.
+    expected = policy.policy.predict_action_chunk(batch)
+    torch.testing.assert_close(actions, expected, atol=1e-6, rtol=1e-6)
+    noise = load_beside(saved, "noise")
+    assert all(torch.equal(noise[k], v) for k, v in policy.noise.state_dict().items())
+    assert load_beside(saved, "critic") is None
+
+
+def test_a_checkpoint_is_not_overwritten(tmp_path: Path) -> None:
+    checkpoint = load_lerobot(folder("smolvla"))
+    save_lerobot(checkpoint, tmp_path, step=1)
+    with pytest.raises(CheckpointError, match="is not overwritten"):
+        save_lerobot(checkpoint, tmp_path, step=1)
+
+
+@both
+def test_adapters_are_merged_into_what_is_saved(kind: str, tmp_path: Path) -> None:
+    checkpoint = load_lerobot(folder(kind))
+    policy = LeRobotPolicy(checkpoint, instructions=("push", "pull"))
+    td = rows(3)
+    torch.manual_seed(0)
+    before = policy.imitation_loss(td)
+    add_expert_lora(policy.model, rank=2)
+    torch.manual_seed(0)
+    assert torch.equal(policy.imitation_loss(td), before)  # they start at 0
+    trained = [n for n, p in policy.policy.named_parameters() if p.requires_grad]
+    assert trained
+    assert all(".lora_" in name for name in trained)
+    with torch.no_grad():
+        for name, parameter in policy.policy.named_parameters():
+            if ".lora_" in name:
+                parameter.add_(0.1)
+    torch.manual_seed(0)
+    expected = policy.imitation_loss(td)
+    assert not torch.allclose(expected, before)
+    saved = save_lerobot(checkpoint, tmp_path, step=1)
+    assert load_file(saved / "model.safetensors").keys() == (
+        load_file(folder(kind) / "model.safetensors").keys()
+    )
+    merged = LeRobotPolicy(load_lerobot(saved), instructions=("push", "pull"))
+    torch.manual_seed(0)
+    torch.testing.assert_close(merged.imitation_loss(td), expected)
