@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from rlco.statistics import ResultRow
 
 log = logging.getLogger("rlco.close_loop")
-RATE = 500  # rows of a recording a second [Hz]
 METHODS = ("nominal", "mended", "oracle")
 
 
@@ -43,7 +42,7 @@ class Config(RunOptions):
     task: str = option("push_cube", "name of the task")
     simulator: str = option("stand_in", "domain in which all else takes place")
     hidden: str | None = option(
-        None, "effects.yaml of what is hidden; null: a wrist that rubs"
+        None, "effects.yaml of what is hidden; null: a cable that pulls at the base"
     )
     seeds: list[int] = option([0, 1, 2], "one comparison each", minimum=0)
     recordings: int = option(6, "recordings of the arm", minimum=2)
@@ -61,7 +60,7 @@ def hide(config: Config, path: Path) -> list[AppliedEffect]:
     if config.hidden is not None:
         effects = list(read_effects(config.hidden).effects)
     else:
-        effects = [AppliedEffect("coulomb_friction", "joint6", {"frictionloss": 4.0})]
+        effects = [AppliedEffect("torque_bias", "joint1", {"torque": 5.0})]
     if not path.exists():
         write_effects(path, effects)
     return effects
@@ -70,8 +69,8 @@ def hide(config: Config, path: Path) -> list[AppliedEffect]:
 def record_logs(config: Config, hidden: Path, folder: Path) -> None:
     """Let the arm move freely where the effect is; write NPZ files of what it tells.
 
-    Each row has the positions that the encoders tell, with a noise of 0.1 mrad, and
-    what the controller sent to the motors: of the arm, torques (noise 0.05 N m).
+    Each row has the joint positions that the encoders tell, with a noise of 0.1 mrad,
+    and the torques that the controller sent to the joints, with one of 0.05 N m.
     """
     from dataclasses import replace
 
@@ -81,42 +80,42 @@ def record_logs(config: Config, hidden: Path, folder: Path) -> None:
     from rlco.physics.native import NativeStepper
     from rlco.physics.task import make_task
 
-    # A row for each physics step.
-    task = replace(make_task(config.task), control_frequency=RATE)
-    count, rows = config.recordings, round(RATE * config.seconds)
+    # Rows are as frequent as control steps.
+    task = replace(make_task(config.task), control_frequency=100)
+    count, rows = config.recordings, round(100 * config.seconds)
     stepper = NativeStepper(
         task, make_domain(config.simulator), num_envs=count, effects=str(hidden)
     )
     rng = np.random.default_rng(config.seed)
     state = stepper.reset([task.sample(rng, None) for _ in range(count)])
     low, high = np.array([-0.15, -0.25, 1.0]), np.array([0.10, 0.25, 1.25])
-    model, data = stepper.model, stepper.data
-    joints = model.actuator_trnid[:, 0]
-    place = model.jnt_qposadr[joints]
-    position, sent = np.zeros((2, rows, count, model.nu))
-    action, pause = np.zeros((count, 1, 7)), round(1.5 * RATE)
+    arm = stepper.copies.control.arm_ctrl
+    position, torque = np.zeros((2, rows, count, arm.size))
+    action = np.zeros((count, 1, 7))
     for row in range(rows):
-        if row % pause == 0:  # a new place, and a new turn of the hand
+        if row % 150 == 0:  # a new place, and a new turn of the hand
             goal = rng.uniform(low, high, (count, 3))
             turn = rng.uniform(-0.15, 0.15, (count, 3))
         wanted = np.zeros((count, 7))
         wanted[:, :3] = np.clip(4.0 * (goal - state.tool_position), -0.5, 0.5)
-        wanted[:, 3:6] = turn * np.cos(2 * np.pi * row / pause)
-        action[:, 0] += 6.0 / RATE * (wanted - action[:, 0])  # people do not jerk
-        position[row] = [one.qpos[place] for one in data]
+        wanted[:, 3:6] = turn * np.cos(2 * np.pi * row / 150)
+        action[:, 0] += 0.06 * (wanted - action[:, 0])  # people do not jerk
         state = stepper.step(action).at(np.s_[:, 1])
-        sent[row] = [one.ctrl for one in data]
-    arm = stepper.copies.control.arm_ctrl
+        position[row] = stepper.reported_state().joint_position
+        torque[row] = [data.ctrl[arm] for data in stepper.data]
     position += 1e-4 * rng.standard_normal(position.shape)
-    sent[..., arm] += 0.05 * rng.standard_normal(sent[..., arm].shape)
+    torque += 0.05 * rng.standard_normal(torque.shape)
+    model = stepper.model
+    names = [model.joint(j).name for j in model.actuator_trnid[arm, 0]]
     folder.mkdir()
     for number in range(count):
-        columns = {"time": np.arange(rows) / RATE}
-        for motor in range(model.nu):
-            joint, name = model.joint(joints[motor]).name, model.actuator(motor).name
-            columns[f"position.{joint}"] = position[:, number, motor]
-            columns[f"command.{name}"] = sent[:, number, motor]
-        np.savez(folder / f"{number}.npz", **columns)
+        np.savez(
+            folder / f"{number}.npz",
+            time=np.arange(rows) / 100,
+            position=position[:, number],
+            torque=torque[:, number],
+            joint_names=np.array(names),
+        )
 
 
 def write_model(config: Config, path: Path) -> None:
