@@ -275,7 +275,7 @@ def _miss(log: Log, rollouts: Rollouts) -> tuple[float, float]:
     """Return by how much replays of a log miss the tool, [m] and [rad]."""
     plants = rollouts.plants
     problem = TaskSpaceProblem(
-        plants.task, log, domain=plants.domain, rollouts=rollouts
+        plants.task, log, domain=plants.domain, rollouts=rollouts, draws=0
     )
     left = problem.residuals([Hypothesis()])[0]
     missed = []

@@ -12,6 +12,8 @@ from rlco.gap.log import Log, Recording
 from rlco.gap.model import LoadedModel
 from rlco.gap.noise import position_noise
 from rlco.gap.problem import Hypothesis, Problem
+from rlco.gap.task_problem import holds_actions, make_task_problem
+from rlco.physics.task import TASK_NAMES
 
 FEWEST = 6  # recordings, or parts of them, to fit and to hold out
 SHOT = 0.4  # seconds of a rollout of a robot that does not forget where it started
@@ -31,6 +33,8 @@ def make_problem(loaded: LoadedModel, log: Log, *, threads: int = 2) -> Problem:
         DataError: If the log holds nothing that can be compared.
     """
     first = log.recordings[0]
+    if loaded.task in TASK_NAMES and holds_actions(log):
+        return make_task_problem(loaded.task, log, threads=threads)
     if first.pose is not None:
         from rlco.gap.free_body import FreeBody
 

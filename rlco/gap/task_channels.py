@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from scipy.spatial.transform import Rotation
 
 from rlco.errors import DataError
@@ -132,21 +133,22 @@ def measured(log: Log, recording: int, names: Sequence[str]) -> Array:
 
 
 def moves(log: Log, name: str) -> bool:
-    """Return whether a column moves by more than its noise in some recording."""
+    """Return whether a column moves by more than its noise in some recording.
+
+    Example:
+        >>> told = np.r_[np.zeros(9), 0.1 * np.ones(9), np.zeros(9)]
+        >>> moves(Log((Recording("one", np.arange(27.0), extra={"z": told}),)), "z")
+        True
+    """
     for recording in log.recordings:
         values = _column(log, recording, name)
-        if values is None:
+        if values is None or len(values) < 5:
             continue
         noise = np.median(np.abs(np.diff(values))) / 0.6745 / np.sqrt(2.0)
-        if len(values) > 4 and abs(_middle(values[-5:]) - _middle(values[:5])) > (
-            5.0 * noise + 1e-4
-        ):
+        middles = np.median(sliding_window_view(values, 5), axis=1)
+        if np.ptp(middles) > 7.0 * noise + 1e-4:
             return True
     return False
-
-
-def _middle(values: Array) -> float:
-    return float(np.median(values))
 
 
 def _column(log: Log, recording: Recording, name: str) -> Array | None:

@@ -10,7 +10,6 @@ from __future__ import annotations
 import copy
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
 from itertools import batched, pairwise
 
 import mujoco
@@ -44,7 +43,7 @@ _TOUCH = 0.002  # what is nearer than this counts as touching [m]
 _MOVING = 0.02  # and what is faster than this as moving [m/s]
 _RUN_IN = 2  # rows after which an arm has forgotten how fast it was
 _LAGGING = 4  # and more, after which actuators that lag have caught up
-_DRAWS = 2  # tracks that are drawn to see what an inexact start does
+_FINEST = 1e-5  # no channel is compared more closely [m or rad]
 
 
 @dataclass(frozen=True)
@@ -71,6 +70,8 @@ class TaskSpaceProblem:
         shot: Seconds of a simulation from a measured state; None for whole episodes.
         threads: Python threads; one a core by default.
         rollouts: Simulations of this task and domain, where they are there already.
+        draws: How often starts are drawn to see what an inexact start does; with 0
+            the noise is that of the sensors alone.
 
     Raises:
         DataError: If the log has no such actions or no tool pose, or another rate.
@@ -91,6 +92,7 @@ class TaskSpaceProblem:
         shot: float | None = 1.0,
         threads: int | None = None,
         rollouts: Rollouts | None = None,
+        draws: int = 2,
     ) -> None:
         self.task = task_at_rate(make_task(task), log)
         self.domain, self.log = make_domain(domain), log
@@ -98,7 +100,7 @@ class TaskSpaceProblem:
         self._rollouts = rollouts or Rollouts(Plants(self.task, self.domain), threads)
         self.plants = self._rollouts.plants
         self.model: mujoco.MjModel = self.plants.nominal.model
-        self.spread_names = SPREAD
+        self.spread_names: tuple[str, ...] = SPREAD
         self._period = 1.0 / self.task.control_frequency
         self._actions = [np.asarray(r.command, dtype=float) for r in log.recordings]
         told = [name for name in known_names(self.task) if has_column(log, name)]
@@ -107,7 +109,6 @@ class TaskSpaceProblem:
         self._measured = [rows[:, compared] for rows in values]
         timed = [(r.time, v) for r, v in zip(log.recordings, values, strict=True)]
         noise = measurement_noise(timed).deviation
-        self._sensor_noise = noise[compared]
         self._columns = values
         self._tracker = Tracker(self._rollouts, told, noise)
         self.tracks = self._tracker.tracks(values, self._actions)
@@ -118,24 +119,7 @@ class TaskSpaceProblem:
             for segment in _segments(index, recording, self._period, steps)
         ]
         self.layout = self._layout()
-
-    @cached_property
-    def noise(self) -> Array:
-        """Standard deviation of each channel, that of inexact starts included.
-
-        A measured state is not the true one: two simulations from two estimates of it
-        part, most of all where a contact is made or missed.
-        """
-        nominal = self._residuals([Hypothesis()], None, self.tracks)[0]
-        rng, total = np.random.default_rng(0), self._sensor_noise**2
-        for _ in range(_DRAWS):
-            tracks = self._tracker.tracks(self._columns, self._actions, rng)
-            apart = self._residuals([Hypothesis()], None, tracks)[0] - nominal
-            apart[~np.isfinite(apart)] = 0.0
-            for channel in range(len(total)):
-                part = apart[self.layout.channel == channel]
-                total[channel] += float(np.mean(part**2)) / _DRAWS
-        return np.sqrt(total)
+        self.noise: Array = self._noise(noise[compared], draws)
 
     def candidates(self) -> list[Candidate]:
         """Return each effect at each target that the tool or an object would show."""
@@ -236,6 +220,26 @@ class TaskSpaceProblem:
             self.channels.names,
             self.channels.units,
         )
+
+    def _noise(self, sensors: Array, draws: int) -> Array:
+        """Return the noise of each channel, that of inexact starts included.
+
+        A measured state is not the true one: two simulations from two estimates of it
+        part, most of all where a contact is made or missed.
+        """
+        total = np.maximum(sensors, _FINEST) ** 2
+        if not draws:
+            return np.asarray(np.sqrt(total))
+        nominal = self._residuals([Hypothesis()], None, self.tracks)[0]
+        rng = np.random.default_rng(0)
+        for _ in range(draws):
+            tracks = self._tracker.tracks(self._columns, self._actions, rng)
+            apart = self._residuals([Hypothesis()], None, tracks)[0] - nominal
+            apart[~np.isfinite(apart)] = 0.0
+            for channel in range(len(total)):
+                part = apart[self.layout.channel == channel]
+                total[channel] += float(np.mean(part**2)) / draws
+        return np.asarray(np.sqrt(total))
 
     def _residuals(
         self,

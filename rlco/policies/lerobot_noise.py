@@ -25,7 +25,7 @@ class StepNoise(nn.Module):
     Example:
         >>> noise = StepNoise(16, 7, (0.08, 0.16))
         >>> std = noise(torch.zeros(5, 4, 16))  # the middle of the range, in logarithms
-        >>> std.shape, round(float(std.mean()), 2)
+        >>> std.shape, round(std.mean().item(), 2)
         (torch.Size([5, 4, 7]), 0.11)
     """
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, cast
 
 import gymnasium
 import numpy as np
@@ -37,7 +37,7 @@ class RlcoEnv(EnvConfig):
             it as solved then; otherwise what counts is its end.
     """
 
-    task: str | None = "push_cube"
+    task: str = "push_cube"
     fps: int = 20
     domain: str = "sim"
     variation: str | None = None
@@ -109,7 +109,9 @@ class Episode(gymnasium.Wrapper[Any, Any, Any, Any]):
         super().__init__(env)
         self._camera = camera
         if camera is not None:
-            parts = dict(env.observation_space.spaces)
+            parts: dict[str, spaces.Space[Any]] = dict(
+                cast(spaces.Dict, env.observation_space)
+            )
             parts["pixels"] = spaces.Dict({camera: parts["pixels"]})
             self.observation_space = spaces.Dict(parts)
 
