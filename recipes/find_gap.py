@@ -23,7 +23,8 @@ from types import FrameType
 from typing import TYPE_CHECKING, Literal
 
 from rlco.config import REQUIRED, option
-from rlco.errors import ConfigError, RlcoError
+from rlco.errors import RlcoError
+from rlco.options import rename_map
 from rlco.run import run_recipe
 
 if TYPE_CHECKING:
@@ -160,14 +161,6 @@ def say_verdict(verdict: Verdict, before: Where) -> None:
             log.info("  %s: %s %s (%s)", title(finding), name, value, ends)
     for line in certainty(verdict):
         log.info("  %s", line)
-
-
-def rename_map(text: str) -> dict[str, str]:
-    """Read ``THEIRS:OURS,THEIRS:OURS``."""
-    pairs = [pair.rpartition(":") for pair in text.split(",") if pair]
-    if not all(theirs and ours for theirs, _, ours in pairs):
-        raise ConfigError([f"rename={text!r} is not THEIRS:OURS,THEIRS:OURS"])
-    return {theirs: ours for theirs, _, ours in pairs}
 
 
 def register_effects(path: str) -> None:

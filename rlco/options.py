@@ -15,10 +15,26 @@ from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hin
 
 from omegaconf import MISSING, OmegaConf
 
-from rlco.errors import suggest
+from rlco.errors import ConfigError, suggest
 
 #: The default of an option that somebody must give.
 REQUIRED: str = MISSING
+
+
+def rename_map(text: str) -> dict[str, str]:
+    """Read ``THEIRS:OURS,THEIRS:OURS``; what is theirs may hold colons.
+
+    Raises:
+        ConfigError: The text has another form.
+
+    Example:
+        >>> rename_map("state:observation.state,actions:action")
+        {'state': 'observation.state', 'actions': 'action'}
+    """
+    pairs = [pair.rpartition(":") for pair in text.split(",") if pair]
+    if not all(theirs and ours for theirs, _, ours in pairs):
+        raise ConfigError([f"rename={text!r} is not THEIRS:OURS,THEIRS:OURS"])
+    return {theirs: ours for theirs, _, ours in pairs}
 
 
 def option(

@@ -6,7 +6,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from rlco.data.demos import DemoReplayBuffer, load_demos
-from rlco.errors import ConfigError, DataError
+from rlco.errors import DataError
+from rlco.options import rename_map
 from rlco.physics.task import Task
 
 if TYPE_CHECKING:  # robosuite takes a second to import
@@ -45,19 +46,3 @@ def load_task_demos(
             "resample it at that rate, as an action chunk counts frames."
         )
     return demos
-
-
-def rename_map(text: str) -> dict[str, str]:
-    """Read ``THEIRS:OURS,THEIRS:OURS``.
-
-    Raises:
-        ConfigError: The text has another form.
-
-    Example:
-        >>> rename_map("state:observation.state,actions:action")
-        {'state': 'observation.state', 'actions': 'action'}
-    """
-    pairs = [pair.split(":") for pair in text.split(",") if pair]
-    if any(len(pair) != 2 or not all(pair) for pair in pairs):
-        raise ConfigError([f"rename={text!r} is not THEIRS:OURS,THEIRS:OURS"])
-    return {pair[0]: pair[1] for pair in pairs}
