@@ -40,3 +40,11 @@ def test_the_documentation_shows_what_is_run() -> None:
     shown = (ROOT / "docs" / "vla.md").read_text("utf-8")
     body = SCRIPT.read_text("utf-8").split("def co_train", 1)[1]
     assert body in shown
+
+
+def test_the_readme_shows_what_is_run() -> None:
+    readme = (ROOT / "README.md").read_text("utf-8")
+    (shown,) = [b for b in readme.split("```python\n") if b.startswith("checkpoint =")]
+    code = SCRIPT.read_text("utf-8").split("def co_train", 1)[1].splitlines()[2:]
+    run = [line.removeprefix("    ").removeprefix("return ") for line in code]
+    assert shown.split("```", 1)[0].splitlines() == run
