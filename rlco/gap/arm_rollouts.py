@@ -87,6 +87,7 @@ class ArmRollouts:
         self.model: mujoco.MjModel = spec.copy().compile()
         self.threads = threads
         self.spread_names = spread_names(self.model)
+        self.has_outliers = False
         self._pool = ThreadPoolExecutor(threads)
         self._columns = [self.model.actuator(name).id for name in log.actuators]
         self._positions = [

@@ -75,6 +75,7 @@ class FreeBody:
         self._position = int(self.model.jnt_qposadr[joint])
         self._velocity = int(self.model.jnt_dofadr[joint])
         self.spread_names = tuple(_SPREAD) if self._touching() else ()
+        self.has_outliers = False
         self._rows = [_rows(recording, horizon) for recording in log.recordings]
         self._poses = [_poses(recording) for recording in log.recordings]
         gravity = np.array(self.model.opt.gravity)

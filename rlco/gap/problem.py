@@ -72,6 +72,8 @@ class Problem(Protocol):
     noise: Array
     # What may be a little off everywhere: one name a number of `Hypothesis.spread`.
     spread_names: tuple[str, ...]
+    # Whether some seconds may be wrong whatever is hypothesised (`rlco.gap.outliers`).
+    has_outliers: bool
 
     def candidates(self) -> list[Candidate]:
         """Return each effect at each target that this comparison can show."""

@@ -11,6 +11,7 @@ from rlco.errors import DataError
 from rlco.gap.comparison import block_sums, clearly_better
 from rlco.gap.fit import Fit, Library, candidates_of, fit, library_of, linearise
 from rlco.gap.log import Array
+from rlco.gap.outliers import Outliers
 from rlco.gap.probe import Probe, explained, probe, start_of
 from rlco.gap.problem import Candidate, Hypothesis, Integers, Problem
 from rlco.gap.weighting import Weighting
@@ -71,6 +72,7 @@ class Search:
         counted_once: As `weighting`, with the spread's prior as it is, for intervals.
         moved: What each spread number does to the residuals, (spread, N).
         prior: Standard deviation of each spread number, (spread,).
+        outliers: What a second may cost at most, in the layout's order.
         visible: Whether effects of typical sizes would show in these recordings.
         trail: What was tried.
         best: The best set of effects so far.
@@ -89,6 +91,7 @@ class Search:
     counted_once: Weighting
     moved: Array
     prior: Array
+    outliers: Outliers | None
     visible: bool = True
     trail: list[dict[str, object]] = field(default_factory=list)
     best: Scored | None = None
@@ -179,20 +182,28 @@ def start_search(
     prior = np.full(names, spread)
     near, far = (np.isin(layout.recording, part) for part in (train, heldout))
     order = np.concatenate([np.flatnonzero(near), np.flatnonzero(far)])
-    blocks = layout.recording[order] * 10_000 + layout.time[order].astype(np.int64)
+    seconds = layout.recording * 10_000 + layout.time.astype(np.int64)
+    blocks = seconds[order]
+    outliers = Outliers.of(rows[0] / scale, seconds) if problem.has_outliers else None
+
+    def weighting(part: Array, count: int) -> Weighting:
+        some = outliers and outliers.part(part)
+        return Weighting.of(scale[part], moved[:, part], prior, count, some)
+
     search = Search(
         problem,
         library_of(problem, exclude),
         train,
         heldout,
-        Weighting.of(scale[near], moved[:, near], prior, len(scale)),
-        Weighting.of(scale[order], moved[:, order], prior),
+        weighting(near, len(scale)),
+        weighting(order, len(scale)),
         blocks,
         blocks * len(layout.channels) + layout.channel[order],
         on_step or (lambda said, part: None),
-        Weighting.of(scale[near], moved[:, near], prior, -1),
+        weighting(near, -1),
         moved,
         prior,
+        outliers,
     )
     nothing = linearise(search.library, (), search.weigh)
     if not search.score([nothing]):
@@ -238,7 +249,8 @@ def first_look(search: Search) -> Search:
     near = np.isin(layout.recording, some)
     scale = search.problem.noise[layout.channel][near]
     moved, rows = search.moved[:, near], len(layout.recording)
-    weighting = Weighting.of(scale, moved, search.prior, rows)
+    outliers = search.outliers and search.outliers.part(near)
+    weighting = Weighting.of(scale, moved, search.prior, rows, outliers)
     return replace(search, train=some, weighting=weighting)
 
 

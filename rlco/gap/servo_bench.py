@@ -75,6 +75,7 @@ class ServoBench:
             )
         self._data = mujoco.MjData(self.model)
         self.spread_names = OWN
+        self.has_outliers = False
         self._step = float(self.model.opt.timestep)
         self._runs = [run_of(one, self._step, duty_gain) for one in log.recordings]
         self._joined: dict[tuple[int, ...], Runs] = {}

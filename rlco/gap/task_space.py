@@ -30,7 +30,7 @@ from rlco.gap.task_channels import (
 )
 from rlco.gap.task_plants import SPREAD, Plant, Plants
 from rlco.gap.task_rollouts import ROWS, Job, Rollouts
-from rlco.gap.task_tracks import Track, Tracker
+from rlco.gap.task_tracks import Track, Tracker, robot_geoms
 from rlco.physics.domain import Domain, make_domain
 from rlco.physics.effects import EFFECTS, AppliedEffect, Effect
 from rlco.physics.observation import ACTION_NAMES
@@ -101,6 +101,7 @@ class TaskSpaceProblem:
         self.plants = self._rollouts.plants
         self.model: mujoco.MjModel = self.plants.nominal.model
         self.spread_names: tuple[str, ...] = SPREAD
+        self.has_outliers = True
         self._period = 1.0 / self.task.control_frequency
         self._actions = [np.asarray(r.command, dtype=float) for r in log.recordings]
         told = [name for name in known_names(self.task) if has_column(log, name)]
@@ -169,10 +170,7 @@ class TaskSpaceProblem:
         model, track = copy.copy(self.model), self.tracks[recording]
         model.geom_margin[:] = _TOUCH
         data = mujoco.MjData(model)
-        root = model.body_rootid[model.geom_bodyid]
-        robot = root == model.body("robot0_base").rootid[0]
-        mount = model.body("fixed_mount0_base").rootid[0]
-        robot |= root == mount
+        robot = robot_geoms(model)
         marks = self.plants.nominal.tracked.mocap
         touching = np.zeros(len(track.qpos), dtype=bool)
         for row, qpos in enumerate(track.qpos):

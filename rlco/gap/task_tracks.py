@@ -12,11 +12,13 @@ from dataclasses import dataclass
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import savgol_filter
 
 from rlco.gap.log import Array
 from rlco.gap.task_channels import ARM_JOINTS, known_names
 from rlco.gap.task_flight import Path, grip_after, in_flight, is_late
+from rlco.gap.task_overlap import separate
 from rlco.gap.task_prior import Starts
 from rlco.gap.task_rollouts import Job, Rollouts, Start
 from rlco.physics.arm_control import Control
@@ -110,6 +112,7 @@ class Tracker:
         self._starts = Starts(self._plants)
         self._model = self._plants.nominal.model
         self._data = mujoco.MjData(self._model)
+        self._robot = robot_geoms(self._model)
         self._period = 1.0 / self._plants.task.control_frequency
         robot = {*STATE_NAMES, *ARM_JOINTS}
         self._scene = [i for i, name in enumerate(names) if name not in robot]
@@ -216,6 +219,14 @@ class Tracker:
         fixtures = numbers[layout.fixture_part]
         told_of = self._seen[layout.fixture_part]
         data.qpos[tracked.fixture_qpos[told_of]] = fixtures[told_of]
+        if row > 0 and seen.any():
+            scratch = self._data
+            scratch.qpos[:], scratch.mocap_pos[:] = data.qpos, data.mocap_pos
+            scratch.mocap_quat[:] = data.mocap_quat
+            places = tracked.object_joints
+            separate(self._model, scratch, places, self._robot, seen[:, :3])
+            for address in places:
+                data.qpos[address : address + 3] = scratch.qpos[address : address + 3]
 
     def _set_speeds(self, speeds: Array, data: mujoco.MjData) -> None:
         """Give objects and drawers the speeds at which they were seen to move."""
@@ -271,6 +282,13 @@ class Tracker:
     def _fixture_ranges(self) -> list[Array]:
         model, tracked = self._model, self._plants.nominal.tracked
         return [model.jnt_range[_joint_at(model, a)] for a in tracked.fixture_qpos]
+
+
+def robot_geoms(model: mujoco.MjModel) -> NDArray[np.bool_]:
+    """Return which geoms are those of the robot and its mount, (ngeom,)."""
+    root = model.body_rootid[model.geom_bodyid]
+    names = ("robot0_base", "fixed_mount0_base")
+    return np.isin(root, [model.body(name).rootid[0] for name in names])
 
 
 def _joint_at(model: mujoco.MjModel, address: int) -> int:

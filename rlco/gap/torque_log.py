@@ -26,8 +26,9 @@ from rlco.gap.problem import Candidate, Hypothesis, Layout
 from rlco.gap.slim import slim_down
 from rlco.gap.smooth_motion import Motion, joined, smoothed
 from rlco.gap.torque_spread import apply_torque_spread, torque_spread_names
-from rlco.physics.effects import EFFECTS, AppliedEffect, StepTerms
-from rlco.physics.effects.targets import actuator_of, dof_of
+from rlco.physics.effects import EFFECTS, AppliedEffect, Effect, StepTerms
+from rlco.physics.effects.apply import true_from_told
+from rlco.physics.effects.targets import actuator_of, dof_of, driven_joints
 
 # Not to be seen where the motion is given: the way of a command, contacts, and a link
 # whose own motion was not measured.
@@ -44,7 +45,7 @@ _NOT_SHOWN = (
     "object_mass",
 )
 # Friction changes its sign over speeds of this size [rad/s].
-_SIGN_SPEED = 0.03
+_SIGN_SPEED = 0.01
 _TOGETHER = 0.8
 
 
@@ -91,6 +92,7 @@ class TorqueLog:
         self._dofs = np.array([dof_of(self.model, name) for name in log.joints])
         self._actuators = [actuator_of(self.model, name) for name in log.joints]
         self.spread_names = torque_spread_names(self.model)
+        self.has_outliers = False
         self.layout = self._layout()
         self.noise = self._noise() if noise is None else np.asarray(noise)
 
@@ -110,7 +112,7 @@ class TorqueLog:
             Candidate(effect.name, target)
             for effect in EFFECTS.values()
             if effect.name not in _NOT_SHOWN
-            for target in effect.targets(self.model)
+            for target in _targets(effect, self.model)
             if target not in joints or target in self.log.joints
             if effect.name != "actuator_gain" or target in told
         ]
@@ -189,17 +191,15 @@ class TorqueLog:
     def _true_motion(
         self, motion: Motion, effects: tuple[AppliedEffect, ...]
     ) -> list[Array]:
-        parts = [motion.position, motion.velocity, motion.acceleration]
-        for applied in effects:
-            change = EFFECTS[applied.name].on_start
-            if change is None:
-                continue
-            column = self.log.joints.index(str(applied.target))
-            # Of an encoder's error, an offset is none of its derivatives.
-            offset = change(np.zeros_like(motion.position), column, applied.values)
-            parts = [change(part, column, applied.values) for part in parts]
-            parts[1:] = [part - offset for part in parts[1:]]
-        return parts
+        def true(told: Array) -> Array:
+            return true_from_told(told, self.log.joints, effects)
+
+        # Of an encoder's error, an offset is none of its derivatives.
+        offset = true(np.zeros_like(motion.position))
+        speeds = [
+            true(part) - offset for part in (motion.velocity, motion.acceleration)
+        ]
+        return [true(motion.position), *speeds]
 
     def _noise(self) -> Array:
         parts = [(motion.time, motion.torque) for motion in self._motions]
@@ -217,6 +217,12 @@ class TorqueLog:
             self.log.joints,
             tuple("N" if kind == slide else "N m" for kind in kinds),
         )
+
+
+def _targets(effect: Effect, model: mujoco.MjModel) -> tuple[str | None, ...]:
+    """Return what an effect may act on: an encoder tells wrongly whatever drives."""
+    encoder = effect.on_measurement is not None
+    return driven_joints(model) if encoder else effect.targets(model)
 
 
 def _unconstrained(spec: mujoco.MjSpec) -> mujoco.MjSpec:

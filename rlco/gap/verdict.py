@@ -111,7 +111,10 @@ def _helps(search: Search, best: Scored) -> bool:
     rows = search.residuals([(), best.effects], search.heldout)
     scale = search.problem.noise[search.problem.layout.channel]
     held = np.isin(search.problem.layout.recording, search.heldout)
-    before, after = np.mean((rows / scale[held]) ** 2, axis=1)
+    scaled = rows / scale[held]
+    if search.outliers is not None:
+        scaled = search.outliers.part(held).bound(scaled)
+    before, after = np.mean(scaled**2, axis=1)
     return bool(np.sqrt(after) < (1.0 - BETTER) * np.sqrt(before))
 
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rlco.gap.log import Array
+from rlco.gap.outliers import Outliers
 
 FAR = 3.5
 COST = 0.03
@@ -33,16 +34,23 @@ class Weighting:
         shrink: What is left of each of them, in (0, 1], (k,).
         spread: Their weighted form: turns a scaled residual into the spread that
             explains it best, (numbers of spread, N).
+        outliers: What a block of time may cost at most; None where it may cost all.
     """
 
     scale: Array
     basis: Array
     shrink: Array
     spread: Array
+    outliers: Outliers | None = None
 
     @classmethod
     def of(
-        cls, scale: Array, jacobian: Array, prior: Array, rows: int = 0
+        cls,
+        scale: Array,
+        jacobian: Array,
+        prior: Array,
+        rows: int = 0,
+        outliers: Outliers | None = None,
     ) -> Weighting:
         """Return the weighting for a jacobian of the residual.
 
@@ -52,6 +60,7 @@ class Weighting:
             prior: Standard deviation of each spread number, (spread,).
             rows: Numbers of the whole log, where this is a part of it; below zero the
                 prior counts once.
+            outliers: What blocks of time may cost at most.
         """
         rows = rows or len(scale)
         often = max(1.0, ((1.0 + COST) ** 2 - 1.0) * rows / FAR**2)
@@ -59,7 +68,7 @@ class Weighting:
         moved = (jacobian * prior[:, None] / scale).T
         if moved.shape[1] == 0:
             none = np.zeros((len(scale), 0))
-            return cls(scale, none, np.zeros(0), none.T)
+            return cls(scale, none, np.zeros(0), none.T, outliers)
         # The small side's eigenvectors are cheaper than a decomposition of all rows.
         squares, vectors = np.linalg.eigh(moved.T @ moved)
         kept = squares > 1e-9 * max(float(squares.max()), 1e-300)
@@ -67,7 +76,7 @@ class Weighting:
         basis = moved @ (vectors / np.sqrt(squares))
         shrink = 1.0 / np.sqrt(1.0 + squares)
         ridge = vectors @ ((1.0 / (1.0 + squares))[:, None] * (vectors.T @ moved.T))
-        return cls(scale, basis, shrink, -prior[:, None] * ridge)
+        return cls(scale, basis, shrink, -prior[:, None] * ridge, outliers)
 
     def weigh(self, residuals: Array) -> Array:
         """Return weighted residuals, of unit variance where nothing is missing.
@@ -75,10 +84,15 @@ class Weighting:
         Args:
             residuals: (..., N).
         """
-        scaled = residuals / self.scale
+        scaled = self.scaled(residuals)
         along = scaled @ self.basis
         return np.asarray(scaled + (along * (self.shrink - 1.0)) @ self.basis.T)
 
+    def scaled(self, residuals: Array) -> Array:
+        """Return residuals (..., N) in units of the noise, outliers bounded."""
+        scaled = residuals / self.scale
+        return scaled if self.outliers is None else self.outliers.bound(scaled)
+
     def explain(self, residual: Array) -> Array:
         """Return the spread that best explains a residual (N,), (spread,)."""
-        return np.asarray(self.spread @ (residual / self.scale))
+        return np.asarray(self.spread @ self.scaled(residual))

@@ -51,7 +51,7 @@ class Rolled:
     def __init__(self, xml: str, log: Log, channels: Sequence[str], unit: str) -> None:
         self.spec = mujoco.MjSpec.from_string(xml)
         self.model = self.spec.compile()
-        self.log, self.spread_names = log, ()
+        self.log, self.spread_names, self.has_outliers = log, (), False
         self.noise = np.full(len(channels), NOISE)
         self.every = round(PERIOD / self.model.opt.timestep)
         rows, count = [r.rows for r in log.recordings], len(channels)

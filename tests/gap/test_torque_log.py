@@ -88,7 +88,7 @@ def test_the_model_alone_takes_the_torque_worked_out_by_hand() -> None:
 
 
 ANGLE, SPEED, CHANGE = motion()
-SIGN = np.tanh(SPEED / 0.03)
+SIGN = np.tanh(SPEED / 0.01)
 # Twice the weight lifted: what the motor and the load press on the gear together.
 CARRIED = np.abs(taken() + MASS * LENGTH * GRAVITY * np.cos(ANGLE))
 HELD = 0.4 * LENGTH  # a load of 0.4 kg at the arm's end
@@ -119,6 +119,16 @@ BY_HAND = {
     "tilt": (
         AppliedEffect("gravity_tilt", None, {"roll": 0.0, "pitch": 0.1}),
         MASS * LENGTH * GRAVITY * (np.cos(ANGLE - 0.1) - np.cos(ANGLE)),
+    ),
+    # What is told is more than the angle, so that the angle is less.
+    "offset": (
+        on_joint("joint_offset", offset=0.1),
+        MASS * LENGTH * GRAVITY * (np.cos(ANGLE - 0.1) - np.cos(ANGLE)),
+    ),
+    "scale": (
+        on_joint("encoder_scale", factor=1.25),
+        (0.8 - 1.0) * (taken() - MASS * LENGTH * GRAVITY * np.cos(ANGLE))
+        + MASS * LENGTH * GRAVITY * (np.cos(0.8 * ANGLE) - np.cos(ANGLE)),
     ),
     # A motor twice as strong as its drive believes is told half the torque.
     "gain": (on_joint("actuator_gain", factor=2.0), -0.5 * taken()),
@@ -190,6 +200,8 @@ def test_only_what_torques_show_is_a_candidate() -> None:
     problem = TorqueLog(mujoco.MjSpec.from_string(ARM), arm_log(taken()))
     names = {one.name for one in problem.candidates()}
     assert {"coulomb_friction", "payload", "command_delay"} <= names
+    # Of the encoder of a joint that a motor drives as of any other's.
+    assert {"joint_offset", "encoder_scale"} <= names
     assert not names & {"backlash", "torque_limit", "actuator_lag", "contact_friction"}
 
 
