@@ -27,11 +27,23 @@ from rlco.config import RunOptions, option
 from rlco.run import Run, run_recipe
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
+
     from rlco.physics.effects import AppliedEffect
+    from rlco.physics.task import Array, SceneState
     from rlco.statistics import ResultRow
 
 log = logging.getLogger("rlco.close_loop")
 METHODS = ("nominal", "mended", "oracle")
+ROWS = 100  # of a recording in a second
+# Recordings start about this posture, above the table and far from the joints' limits,
+# at most so far from it [rad].
+POSTURE = (0.0, 0.0, 0.0, -2.1, 0.0, 2.2, 0.79)
+SPREAD = (1.2, 0.15, 0.3, 0.15, 0.3, 0.2, 0.8)
+REACH = (0.08, 0.18, 0.1, 0.2, 0.2, 0.2)  # of the tool's swings [m, rad]
+GAIN = (5.0, 5.0, 5.0, 2.0, 2.0, 2.0, 0.0)  # of actions that follow them [1/m, 1/rad]
 
 
 @dataclass
@@ -42,7 +54,7 @@ class Config(RunOptions):
     task: str = option("push_cube", "name of the task")
     simulator: str = option("stand_in", "domain in which all else takes place")
     hidden: str | None = option(
-        None, "effects.yaml of what is hidden; null: a cable that pulls at the base"
+        None, "effects.yaml of what is hidden; null: a joint's encoder off by 3 degrees"
     )
     seeds: list[int] = option([0, 1, 2], "one comparison each", minimum=0)
     recordings: int = option(6, "recordings of the arm", minimum=2)
@@ -60,7 +72,7 @@ def hide(config: Config, path: Path) -> list[AppliedEffect]:
     if config.hidden is not None:
         effects = list(read_effects(config.hidden).effects)
     else:
-        effects = [AppliedEffect("torque_bias", "joint1", {"torque": 5.0})]
+        effects = [AppliedEffect("joint_offset", "joint2", {"offset": 0.05})]
     if not path.exists():
         write_effects(path, effects)
     return effects
@@ -80,27 +92,23 @@ def record_logs(config: Config, hidden: Path, folder: Path) -> None:
     from rlco.physics.native import NativeStepper
     from rlco.physics.task import make_task
 
-    # Rows are as frequent as control steps.
-    task = replace(make_task(config.task), control_frequency=100)
-    count, rows = config.recordings, round(100 * config.seconds)
+    # A torque that is read once in a longer control step is off by what damping has
+    # taken since that step began; so each physics step, of 2 ms, is one.
+    task = replace(make_task(config.task), control_frequency=500)
+    count, rows = config.recordings, round(ROWS * config.seconds)
     stepper = NativeStepper(
         task, make_domain(config.simulator), num_envs=count, effects=str(hidden)
     )
     rng = np.random.default_rng(config.seed)
-    state = stepper.reset([task.sample(rng, None) for _ in range(count)])
-    low, high = np.array([-0.15, -0.25, 1.0]), np.array([0.10, 0.25, 1.25])
+    postures = POSTURE + np.array(SPREAD) * rng.uniform(-1.0, 1.0, (count, 7))
+    first = [replace(task.sample(rng, None), joint_position=q) for q in postures]
+    stepper.reset(first)
+    drive = free_motion(stepper.reported_state(), rng)
     arm = stepper.copies.control.arm_ctrl
     position, torque = np.zeros((2, rows, count, arm.size))
-    action = np.zeros((count, 1, 7))
     for row in range(rows):
-        if row % 150 == 0:  # a new place, and a new turn of the hand
-            goal = rng.uniform(low, high, (count, 3))
-            turn = rng.uniform(-0.15, 0.15, (count, 3))
-        wanted = np.zeros((count, 7))
-        wanted[:, :3] = np.clip(4.0 * (goal - state.tool_position), -0.5, 0.5)
-        wanted[:, 3:6] = turn * np.cos(2 * np.pi * row / 150)
-        action[:, 0] += 0.06 * (wanted - action[:, 0])  # people do not jerk
-        state = stepper.step(action).at(np.s_[:, 1])
+        action = drive(row / ROWS, stepper.reported_state())
+        stepper.step(np.repeat(action[:, None], 500 // ROWS, axis=1))
         position[row] = stepper.reported_state().joint_position
         torque[row] = [data.ctrl[arm] for data in stepper.data]
     position += 1e-4 * rng.standard_normal(position.shape)
@@ -111,11 +119,38 @@ def record_logs(config: Config, hidden: Path, folder: Path) -> None:
     for number in range(count):
         np.savez(
             folder / f"{number}.npz",
-            time=np.arange(rows) / 100,
+            time=np.arange(rows) / ROWS,
             position=position[:, number],
             torque=torque[:, number],
             joint_names=np.array(names),
         )
+
+
+def free_motion(
+    start: SceneState, rng: np.random.Generator
+) -> Callable[[float, SceneState], Array]:
+    """Return what swings the tool about where it starts, each axis at its own pace.
+
+    Returns:
+        From a time [s] and the reported state, leading axes (N,), to actions (N, 7).
+    """
+    import numpy as np
+
+    from rlco.physics.rotations import rotation_vector
+
+    count = len(start.tool_position)
+    pace = 2.0 * np.pi * rng.uniform(0.14, 0.26, (count, 6))  # [rad/s]
+    reach = np.array(REACH) * rng.choice([-1.0, 1.0], (count, 6))
+
+    def drive(time: float, state: SceneState) -> Array:
+        away = reach * np.sin(pace * time)
+        turned = state.tool_rotation @ np.swapaxes(start.tool_rotation, -1, -2)
+        action = np.zeros((count, 7))
+        action[:, :3] = start.tool_position + away[:, :3] - state.tool_position
+        action[:, 3:6] = away[:, 3:] - rotation_vector(turned)
+        return np.clip(action * GAIN, -1.0, 1.0)
+
+    return drive
 
 
 def write_model(config: Config, path: Path) -> None:

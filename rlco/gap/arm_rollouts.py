@@ -34,6 +34,10 @@ from rlco.physics.effects.targets import actuator_of, dof_of
 from rlco.physics.libmujoco import unsaid_warnings
 
 SETTLE = 0.3  # seconds in which an arm forgets a wrong initial speed
+# A limit is felt where it is below what is needed, and a joint that has far too little
+# falls, whatever else it does: limits to start from, as close as a fit reaches.
+_CLOSE = 1.4
+_MOST_STARTS = 8
 
 
 @dataclass(frozen=True)
@@ -116,6 +120,18 @@ class ArmRollouts:
                     found.append(Candidate(effect.name, target))
         return found
 
+    def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
+        """Return limits of torque a little below what each joint would need.
+
+        How much that is depends on the motion: a joint that turns about the vertical
+        holds nothing, and one that the log moves slowly never needs what it could give.
+        """
+        return {
+            Candidate("torque_limit", name): _limits(np.abs(torque))
+            for name, torque in zip(self.log.joints, self._needed().T, strict=True)
+            if np.isfinite(torque).all() and torque.any()
+        }
+
     def residuals(
         self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None
     ) -> Array:
@@ -172,6 +188,33 @@ class ArmRollouts:
             if actuator in self._columns:
                 commands[:, column] = sent[:, self._columns.index(actuator)]
         return commands
+
+    def _needed(self) -> Array:
+        """The torque of each joint's actuator without any effect, (rows, joints)."""
+        left = self.residuals([Hypothesis()])[0]
+        at, needed = 0, left.reshape(-1, len(self.log.joints)).copy()
+        for shot in self.shots:
+            log, part = (
+                self.log.recordings[shot.recording],
+                slice(shot.begin, shot.last + 1),
+            )
+            rows = needed[at : at + shot.last + 1 - shot.begin]
+            at += len(rows)
+            position = np.asarray(log.position)[part] - rows
+            velocity = _velocity(log)[part]
+            command = self._joint_commands(log)[part]
+            for column, name in enumerate(self.log.joints):
+                actuator = actuator_of(self.model, name)
+                gain, gear = (
+                    self.model.actuator_gainprm[actuator, 0],
+                    self.model.actuator_gear[actuator, 0],
+                )
+                bias = self.model.actuator_biasprm[actuator]
+                force = gain * command[:, column] + bias[0]
+                force += gear * bias[1] * position[:, column]
+                force += gear * bias[2] * velocity[:, column]
+                rows[:, column] = force if actuator >= 0 else 0.0
+        return np.asarray(needed)
 
     def _static_torque(self, position: Array) -> Array:
         """Torque against gravity in each row, (T, joints)."""
@@ -299,6 +342,14 @@ def _addresses(
     positions = [int(model.joint(name).qposadr[0]) for name in joints]
     velocities = [dof_of(model, name) for name in joints]
     return np.array(read), (positions, velocities)
+
+
+def _limits(torque: Array) -> tuple[float, ...]:
+    """Return limits from just below the largest torque to below the usual one."""
+    high = 0.9 * float(np.quantile(torque, 0.995))
+    low = max(0.6 * float(np.median(torque)), 0.08 * high)
+    count = int(np.ceil(np.log(high / low) / np.log(_CLOSE))) + 1
+    return tuple(np.geomspace(high, low, min(max(count, 2), _MOST_STARTS)).tolist())
 
 
 def _joint_names(model: mujoco.MjModel) -> set[str]:

@@ -6,7 +6,8 @@ import time
 from collections.abc import Callable, Collection
 
 from rlco.gap.problem import Problem, Verdict
-from rlco.gap.search import search_effects, start_search
+from rlco.gap.search import search_effects
+from rlco.gap.search_start import start_search
 from rlco.gap.verdict import conclude
 
 

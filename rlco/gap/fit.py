@@ -7,7 +7,7 @@ the same time, so that their simulations form one batch for the threads.
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
@@ -48,11 +48,18 @@ def library_of(problem: Problem, exclude: Collection[str] = ()) -> Library:
         problem: The robot and its log.
         exclude: Names of effects to leave out.
     """
-    return {
+    library = {
         candidate: EFFECTS[candidate.name].parameters(problem.model, candidate.target)
         for candidate in problem.candidates()
         if candidate.name not in exclude
     }
+    for candidate, starts in problem.usual_sizes().items():
+        if candidate in library:
+            first, *others = library[candidate]
+            near = tuple(s for s in starts if first.low < s < first.high)
+            if near:
+                library[candidate] = (replace(first, starts=near), *others)
+    return library
 
 
 def with_values(
@@ -73,6 +80,13 @@ def candidates_of(effects: Sequence[AppliedEffect]) -> tuple[Candidate, ...]:
     return tuple(Candidate(effect.name, effect.target) for effect in effects)
 
 
+def _size(parameter: Parameter) -> float:
+    """Return how large a number usually is; limits may have any bound far away."""
+    away = parameter.neutral if parameter.scales else 0.0
+    usual = max(abs(start - away) for start in parameter.starts)
+    return usual or 0.1 * (parameter.high - parameter.low)
+
+
 class _Running:
     """One hypothesis on its way to its best numbers."""
 
@@ -82,11 +96,7 @@ class _Running:
         known = [p for c in self.candidates for p in library[c]]
         self.low = np.array([p.low for p in known])
         self.high = np.array([p.high for p in known])
-        sizes = [
-            max(abs(start - p.neutral) for start in p.starts) or 0.1 * (p.high - p.low)
-            for p in known
-        ]
-        self.size = np.array(sizes)
+        self.size = np.array([_size(p) for p in known])
         self.resolution = np.array([p.resolution for p in known])
         values = [v for effect in effects for v in effect.parameters.values()]
         self.values = np.clip(np.array(values, dtype=float), self.low, self.high)

@@ -99,6 +99,10 @@ class FreeBody:
             shown = [one for one in shown if one.name != "object_mass"]
         return shown
 
+    def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
+        """Return nothing: the model tells enough, see `Problem.usual_sizes`."""
+        return {}
+
     def residuals(
         self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None
     ) -> Array:

@@ -5,9 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from rlco.gap.log import Array
 from rlco.gap.problem import Integers
+
+Rows = NDArray[np.bool_] | Integers
 
 USUAL = 4.0  # mean squares beyond this many typical ones begin to count less
 
@@ -43,7 +46,7 @@ class Outliers:
         sizes = np.bincount(place, weights=residual**2) / np.bincount(place)
         return cls(blocks, USUAL * max(1.0, float(np.median(sizes))))
 
-    def part(self, rows: Array) -> Outliers:
+    def part(self, rows: Rows) -> Outliers:
         """Return the same for some of the numbers, given by mask or index."""
         return Outliers(self.blocks[rows], self.limit)
 

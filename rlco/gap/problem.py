@@ -79,6 +79,10 @@ class Problem(Protocol):
         """Return each effect at each target that this comparison can show."""
         ...
 
+    def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
+        """Return starts of first numbers, where the log tells more than the model."""
+        ...
+
     def residuals(
         self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None
     ) -> Array:

@@ -2,216 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterable
+from dataclasses import replace
 
 import numpy as np
 
-from rlco.errors import DataError
-from rlco.gap.comparison import block_sums, clearly_better
-from rlco.gap.fit import Fit, Library, candidates_of, fit, library_of, linearise
+from rlco.gap.comparison import block_sums
+from rlco.gap.fit import Fit, candidates_of, fit, linearise
 from rlco.gap.log import Array
-from rlco.gap.outliers import Outliers
 from rlco.gap.probe import Probe, explained, probe, start_of
-from rlco.gap.problem import Candidate, Hypothesis, Integers, Problem
+from rlco.gap.problem import Candidate
+from rlco.gap.search_start import with_spread_at
+from rlco.gap.search_state import Scored, Search
 from rlco.gap.weighting import Weighting
 from rlco.physics.effects import AppliedEffect
 
 LARGEST = 4  # effects at once
 FITTED = 6  # candidates that are fitted in a forward step
 PROBED = 3  # recordings of the first look
+SEEN = 0.05  # mean square beyond the spread that an effect changes by itself
 CLEAN = 1.1  # mean square, over the typical, of a joint that needs no effect
 HINT = 0.015  # part of the mean square that a first look must explain
 BETTER = 0.03  # part of the held-out error that an effect must take away
-
-
-@dataclass(frozen=True)
-class Scored:
-    """A fit with what it leaves in recordings that were not fitted.
-
-    Attributes:
-        fit: The fit to the training recordings.
-        everything: Weighted residual of all recordings, training first, (N,).
-    """
-
-    fit: Fit
-    everything: Array
-
-    @property
-    def effects(self) -> tuple[AppliedEffect, ...]:
-        """The effects, with their numbers."""
-        return self.fit.effects
-
-    @property
-    def names(self) -> frozenset[Candidate]:
-        """What its effects are."""
-        return frozenset(candidates_of(self.fit.effects))
-
-    @property
-    def error(self) -> float:
-        """Root mean square of the weighted held-out residual; 1 at the noise floor."""
-        heldout = self.everything[len(self.fit.residual) :]
-        return float(np.sqrt(np.mean(heldout**2)))
-
-
-@dataclass
-class Search:
-    """The state of one search.
-
-    Attributes:
-        problem: Robot and log.
-        library: What may be hypothesised.
-        train: Recordings that are fitted.
-        heldout: Recordings that are not.
-        weighting: Weights of the training residuals.
-        together: Weights of all residuals, training first. A spread that only shows
-            in held-out recordings is not held against an effect.
-        blocks: Block of time of each residual, training first, (N,).
-        series: Block and channel of each residual, training first, (N,).
-        on_step: Called with a sentence and a part done, for a progress bar.
-        counted_once: As `weighting`, with the spread's prior as it is, for intervals.
-        moved: What each spread number does to the residuals, (spread, N).
-        prior: Standard deviation of each spread number, (spread,).
-        outliers: What a second may cost at most, in the layout's order.
-        visible: Whether effects of typical sizes would show in these recordings.
-        trail: What was tried.
-        best: The best set of effects so far.
-        scores: Every fit that was made, by its set of candidates.
-    """
-
-    problem: Problem
-    library: Library
-    train: tuple[int, ...]
-    heldout: tuple[int, ...]
-    weighting: Weighting
-    together: Weighting
-    blocks: Integers
-    series: Integers
-    on_step: Callable[[str, float], None]
-    counted_once: Weighting
-    moved: Array
-    prior: Array
-    outliers: Outliers | None
-    visible: bool = True
-    trail: list[dict[str, object]] = field(default_factory=list)
-    best: Scored | None = None
-    scores: dict[frozenset[Candidate], Scored] = field(default_factory=dict)
-
-    def weigh(self, lists: Sequence[tuple[AppliedEffect, ...]]) -> Array:
-        """Return weighted training residuals, (lists, N); infinite where diverged."""
-        rows = self.residuals(lists, self.train)
-        fine = np.isfinite(rows).all(axis=1)
-        weighted = np.full_like(rows, np.inf)
-        weighted[fine] = self.weighting.weigh(rows[fine])
-        return weighted
-
-    def residuals(
-        self, lists: Sequence[tuple[AppliedEffect, ...]], recordings: tuple[int, ...]
-    ) -> Array:
-        """Return measured minus simulated under lists of effects, (lists, N)."""
-        hypotheses = [Hypothesis(effects) for effects in lists]
-        return self.problem.residuals(hypotheses, recordings)
-
-    def score(self, fits: Sequence[Fit]) -> list[Scored]:
-        """Return the fits that hold on held-out recordings without diverging."""
-        if not fits:
-            return []
-        lists = [one.effects for one in fits]
-        trained = self.residuals(lists, self.train)
-        held = self.residuals(lists, self.heldout)
-        out = []
-        for one, rows in zip(fits, np.hstack([trained, held]), strict=True):
-            if not np.isfinite(rows).all():
-                continue
-            scored = Scored(one, self.together.weigh(rows))
-            known = self.scores.get(scored.names)
-            if known is None or known.fit.cost > one.cost:
-                self.scores[scored.names] = scored
-            out.append(scored)
-        return out
-
-    def fit(
-        self, starts: Sequence[Sequence[AppliedEffect]], steps: int = 6
-    ) -> list[Scored]:
-        """Fit from each start, and score; the best of each set of effects."""
-        fits = fit(self.library, starts, self.weigh, steps=steps)
-        best: dict[frozenset[Candidate], Scored] = {}
-        for one in self.score(fits):
-            if one.names not in best or best[one.names].fit.cost > one.fit.cost:
-                best[one.names] = one
-        return sorted(best.values(), key=lambda one: one.fit.cost)
-
-    def better(self, one: Scored, other: Scored) -> bool:
-        """Return whether a fit is better than another beyond doubt."""
-        return clearly_better(
-            one.everything, other.everything, self.blocks, self.series
-        )
-
-
-def start_search(
-    problem: Problem,
-    *,
-    spread: float = 0.03,
-    exclude: Collection[str] = (),
-    on_step: Callable[[str, float], None] | None = None,
-) -> Search:
-    """Prepare a search: split the recordings, and measure what the spread does.
-
-    Args:
-        problem: Robot and log.
-        spread: By how much every number of the model may be off, as a part of it.
-        exclude: Names of effects to leave out.
-        on_step: Called with a sentence and a part done.
-
-    Raises:
-        DataError: If the nominal simulation diverges.
-    """
-    total = len(problem.log.recordings)
-    heldout = tuple(i for i in range(total) if i % 3 == 2) or (total - 1,)
-    train = tuple(i for i in range(total) if i not in heldout)
-    names = len(problem.spread_names)
-    step = 0.01
-    hypotheses = [Hypothesis()] + [
-        Hypothesis((), tuple(step * (i == j) for j in range(names)))
-        for i in range(names)
-    ]
-    rows = problem.residuals(hypotheses)
-    moved = (rows[1:] - rows[0]) / step
-    layout = problem.layout
-    scale = problem.noise[layout.channel]
-    prior = np.full(names, spread)
-    near, far = (np.isin(layout.recording, part) for part in (train, heldout))
-    order = np.concatenate([np.flatnonzero(near), np.flatnonzero(far)])
-    seconds = layout.recording * 10_000 + layout.time.astype(np.int64)
-    blocks = seconds[order]
-    outliers = Outliers.of(rows[0] / scale, seconds) if problem.has_outliers else None
-
-    def weighting(part: Array, count: int) -> Weighting:
-        some = outliers and outliers.part(part)
-        return Weighting.of(scale[part], moved[:, part], prior, count, some)
-
-    search = Search(
-        problem,
-        library_of(problem, exclude),
-        train,
-        heldout,
-        weighting(near, len(scale)),
-        weighting(order, len(scale)),
-        blocks,
-        blocks * len(layout.channels) + layout.channel[order],
-        on_step or (lambda said, part: None),
-        weighting(near, -1),
-        moved,
-        prior,
-        outliers,
-    )
-    nothing = linearise(search.library, (), search.weigh)
-    if not search.score([nothing]):
-        raise DataError(
-            "the simulation of these recordings diverges without any effect: check "
-            "that the model is the robot's, and that it is stable at its time step."
-        )
-    return search
 
 
 def search_effects(search: Search) -> Scored:
@@ -237,8 +49,35 @@ def search_effects(search: Search) -> Scored:
         found = _pick(search, options, best)
         if found is None:
             break
-        best = search.best = _drop(search, _polished(search, found))
+        best = _drop(search, _polished(search, found))
+        best = search.best = with_spread_at(search, best)
         search.on_step(_sentence(best), len(best.effects) / LARGEST)
+    best = search.best = _without_unseen(search, best)
+    return best
+
+
+def _without_unseen(search: Search, best: Scored) -> Scored:
+    """Drop effects that could not be told from the spread but for the others.
+
+    A robot on the brink shows numbers that are a hundredth off as if they were news.
+    """
+    while len(best.effects) > 1:
+        lists = [(), *((effect,) for effect in best.effects)]
+        parts = [search.residuals(lists, p) for p in (search.train, search.heldout)]
+        rows = np.hstack(parts)
+        if not np.isfinite(rows).all():
+            return best
+        weighted = search.at_first.weigh(rows)
+        seen = np.mean((weighted[1:] - weighted[0]) ** 2, axis=1)
+        least = int(seen.argmin())
+        if seen[least] > SEEN:
+            return best
+        left = best.effects[least]
+        fits = search.fit([tuple(e for e in best.effects if e is not left)])
+        if not fits:
+            return best
+        best = fits[0]
+        search.trail.append({"effects": best.effects, "dropped": True})
     return best
 
 

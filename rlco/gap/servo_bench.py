@@ -103,6 +103,10 @@ class ServoBench:
             found += [Candidate(effect.name, target) for target in targets]
         return found
 
+    def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
+        """Return nothing: the model tells enough, see `Problem.usual_sizes`."""
+        return {}
+
     def residuals(
         self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None
     ) -> Array:

@@ -138,6 +138,10 @@ class TaskSpaceProblem:
             ]
         return found
 
+    def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
+        """Return nothing: the model tells enough, see `Problem.usual_sizes`."""
+        return {}
+
     def residuals(
         self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None
     ) -> Array:

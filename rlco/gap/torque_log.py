@@ -126,6 +126,10 @@ class TorqueLog:
             for one, other in zip(motion.torque.T, computed.T, strict=True)
         ]
 
+    def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
+        """Return nothing: the model tells enough, see `Problem.usual_sizes`."""
+        return {}
+
     def residuals(
         self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None
     ) -> Array:

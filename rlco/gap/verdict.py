@@ -12,14 +12,8 @@ from rlco.gap.left_over import describe_left
 from rlco.gap.log import Array
 from rlco.gap.probe import probe, start_of
 from rlco.gap.problem import Candidate, Finding, Gap, Hypothesis, Value, Verdict
-from rlco.gap.search import (
-    BETTER,
-    Scored,
-    Search,
-    first_look,
-    ranked,
-    refined,
-)
+from rlco.gap.search import BETTER, first_look, ranked, refined
+from rlco.gap.search_state import Scored, Search
 from rlco.physics.effects import EFFECTS, AppliedEffect
 
 NEAR_FLOOR = 1.3  # held-out error over the noise floor

@@ -74,6 +74,10 @@ class Rolled:
             change(spec, effect.target, effect.values)
         return spec.compile()
 
+    def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
+        """Return nothing: the model tells enough, see `Problem.usual_sizes`."""
+        return {}
+
     def residuals(
         self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None
     ) -> Array:

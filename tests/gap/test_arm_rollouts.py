@@ -10,7 +10,7 @@ import pytest
 from hidden_arms import TWO_LINKS, record
 
 from rlco.gap.arm_rollouts import ArmRollouts
-from rlco.gap.problem import Hypothesis
+from rlco.gap.problem import Candidate, Hypothesis
 from rlco.physics.effects import AppliedEffect
 
 _NOISE = np.full(2, 4e-4)
@@ -95,3 +95,19 @@ def test_a_simulation_that_diverges_is_infinite_and_says_nothing(
     assert np.isfinite(rows[1]).all()
     assert not list(tmp_path.iterdir())
     assert "WARNING" not in "".join(capfd.readouterr())
+
+
+def test_limits_of_torque_are_looked_for_where_the_motion_would_feel_them() -> None:
+    torques: list[np.ndarray] = []
+
+    def watch(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        torques.append(np.abs(data.actuator_force))
+
+    sizes = _problem(record(act=watch)).usual_sizes()
+    for column, joint in enumerate(("shoulder", "elbow")):
+        needed = np.array(torques)[:, column]
+        starts = sizes[Candidate("torque_limit", joint)]
+        assert np.quantile(needed, 0.9) < max(starts) < needed.max()
+        assert min(starts) < max(np.median(needed), 0.1 * needed.max())
+        ratios = np.array(starts[:-1]) / starts[1:]
+        assert (ratios < 2.0).all()

@@ -103,3 +103,15 @@ def test_an_interruption_keeps_the_best_so_far() -> None:
     verdict = _verdict(_two, on_step=interrupt)
     assert not verdict.complete
     assert ("actuator_gain", "shoulder") in _names(verdict)
+
+
+def test_a_motor_that_can_hardly_hold_its_arm_is_named_alone() -> None:
+    def hide(model: mujoco.MjModel) -> None:
+        _spread(model)  # which a falling arm shows ten times as much as a held one
+        model.actuator_forcelimited[0] = True
+        model.actuator_forcerange[0] = -1.5, 1.5
+
+    verdict = _verdict(hide)
+    assert _names(verdict) == {("torque_limit", "shoulder")}
+    (limit,) = verdict.effects[0].parameters.values()
+    assert limit.value == pytest.approx(1.5, rel=0.05)

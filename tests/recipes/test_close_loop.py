@@ -33,9 +33,9 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_what_is_hidden_is_found_from_the_logs(run: Path) -> None:
     (hidden,) = read_effects(run / "hidden.yaml").effects
     (found,) = read_effects(run / "gap" / "effects.yaml").effects
-    assert found.name == hidden.name == "torque_bias"
-    assert found.target == "robot0_joint1"
-    assert found.parameters["torque"] == pytest.approx(5.0, rel=0.05)
+    assert found.name == hidden.name == "joint_offset"
+    assert found.target == "robot0_joint2"
+    assert found.parameters["offset"] == pytest.approx(0.05, abs=0.005)
     report = json.loads((run / "gap" / "report.json").read_text())
     assert report["verdict"] in ("named", "ambiguous")
     gap = report["gap"]
@@ -52,7 +52,7 @@ def test_logs_hold_what_a_robot_could_tell(run: Path) -> None:
         assert np.ptp(log["position"], axis=0).min() > 0.05
         assert np.abs(log["torque"]).max() < 80.0
     # The model that they are compared with has nothing of what is hidden.
-    assert "torque_bias" not in (run / "nominal.xml").read_text()
+    assert "joint_offset" not in (run / "nominal.xml").read_text()
 
 
 def test_each_method_is_trained_and_evaluated_where_the_effect_is(run: Path) -> None:
@@ -68,7 +68,7 @@ def test_each_method_is_trained_and_evaluated_where_the_effect_is(run: Path) -> 
     }
     assert first["nominal"].read_bytes() != first["oracle"].read_bytes()
     page = (run / "report.html").read_text()
-    for word in ("nominal", "mended", "oracle", "torque_bias", "No robot moved"):
+    for word in ("nominal", "mended", "oracle", "joint_offset", "No robot moved"):
         assert word in page
     assert (run / "plots" / "success.png").stat().st_size > 1000
 

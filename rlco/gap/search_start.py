@@ -1,0 +1,132 @@
+"""Where a search begins: which recordings are held out, and what the spread does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection
+
+import numpy as np
+
+from rlco.errors import DataError
+from rlco.gap.fit import library_of, linearise
+from rlco.gap.log import Array
+from rlco.gap.outliers import Outliers, Rows
+from rlco.gap.problem import Hypothesis, Problem
+from rlco.gap.search_state import Scored, Search
+from rlco.gap.weighting import Weighting
+from rlco.physics.effects import AppliedEffect
+
+GREW = 3.0  # times as sensitive to the spread, as mean squares go, is looked at again
+_STEP = 0.01  # of a number, to see what the spread does
+
+
+def start_search(
+    problem: Problem,
+    *,
+    spread: float = 0.03,
+    exclude: Collection[str] = (),
+    on_step: Callable[[str, float], None] | None = None,
+) -> Search:
+    """Prepare a search: split the recordings, and measure what the spread does.
+
+    Args:
+        problem: Robot and log.
+        spread: By how much every number of the model may be off, as a part of it.
+        exclude: Names of effects to leave out.
+        on_step: Called with a sentence and a part done.
+
+    Raises:
+        DataError: If the nominal simulation diverges.
+    """
+    total = len(problem.log.recordings)
+    heldout = tuple(i for i in range(total) if i % 3 == 2) or (total - 1,)
+    train = tuple(i for i in range(total) if i not in heldout)
+    nominal, moved = _moved(problem, ())
+    layout = problem.layout
+    scale = problem.noise[layout.channel]
+    prior = np.full(len(moved), spread)
+    near, far = (np.isin(layout.recording, part) for part in (train, heldout))
+    order = np.concatenate([np.flatnonzero(near), np.flatnonzero(far)])
+    seconds = layout.recording * 10_000 + layout.time.astype(np.int64)
+    blocks = seconds[order]
+    outliers = Outliers.of(nominal / scale, seconds) if problem.has_outliers else None
+    weights = _weightings(scale, near, order, moved, prior, outliers)
+    search = Search(
+        problem,
+        library_of(problem, exclude),
+        train,
+        heldout,
+        *weights,
+        blocks,
+        blocks * len(layout.channels) + layout.channel[order],
+        on_step or (lambda said, part: None),
+        moved,
+        prior,
+        outliers,
+        weights[1],
+    )
+    nothing = linearise(search.library, (), search.weigh)
+    if not search.score([nothing]):
+        raise DataError(
+            "the simulation of these recordings diverges without any effect: check "
+            "that the model is the robot's, and that it is stable at its time step."
+        )
+    return search
+
+
+def _moved(problem: Problem, effects: tuple[AppliedEffect, ...]) -> tuple[Array, Array]:
+    """Return residuals (N,), and what a unit of each spread number does (spread, N)."""
+    names = len(problem.spread_names)
+    hypotheses = [Hypothesis(effects)] + [
+        Hypothesis(effects, tuple(_STEP * (i == j) for j in range(names)))
+        for i in range(names)
+    ]
+    rows = problem.residuals(hypotheses)
+    with np.errstate(invalid="ignore"):  # infinite where a simulation diverges
+        return rows[0], (rows[1:] - rows[0]) / _STEP
+
+
+def _weightings(
+    scale: Array,
+    near: Rows,
+    order: Rows,
+    moved: Array,
+    prior: Array,
+    outliers: Outliers | None,
+) -> tuple[Weighting, Weighting, Weighting]:
+    """Return the weights of training rows, of all rows, and with the prior once."""
+
+    def weighting(part: Rows, count: int) -> Weighting:
+        some = outliers and outliers.part(part)
+        return Weighting.of(scale[part], moved[:, part], prior, count, some)
+
+    return (
+        weighting(near, len(scale)),
+        weighting(order, len(scale)),
+        weighting(near, -1),
+    )
+
+
+def with_spread_at(search: Search, best: Scored) -> Scored:
+    """Look at the spread again, where effects make the robot more sensitive to it.
+
+    A motor that can hardly hold its arm drops it a little earlier or later for any
+    small difference, which one that has plenty hides.
+    """
+    layout, prior = search.problem.layout, search.prior
+    scale = search.problem.noise[layout.channel]
+    _, moved = _moved(search.problem, best.effects)
+    before, after = (
+        float(np.sum((rows * prior[:, None] / scale) ** 2))
+        for rows in (search.moved, moved)
+    )
+    if not GREW * before < after < np.inf:
+        return best
+    near, far = (np.isin(layout.recording, p) for p in (search.train, search.heldout))
+    order = np.concatenate([np.flatnonzero(near), np.flatnonzero(far)])
+    search.moved = moved
+    search.weighting, search.together, search.counted_once = _weightings(
+        scale, near, order, moved, prior, search.outliers
+    )
+    search.scores.clear()
+    search.score([linearise(search.library, (), search.weigh)])
+    return next(iter(search.fit([best.effects])), best)
