@@ -61,13 +61,14 @@ def demonstrate(
         seed: Draws initial states, sensor noise and command noise.
         noise: Standard deviation of command noise, in units of the action's range.
         hold: Control steps kept after the task is solved [steps].
-        num_envs: Episodes that run side by side.
+        num_envs: Episodes that run side by side, at most.
         effects: Effects to add to the model, see `rlco.envs.make_env`.
 
     Raises:
         RlcoError: If the expert fails in more than half of many episodes.
     """
-    stepper = NativeStepper(task, domain, num_envs=num_envs, effects=effects)
+    count = min(num_envs, episodes)
+    stepper = NativeStepper(task, domain, num_envs=count, effects=effects)
     share, more = divmod(episodes, len(task.instructions))
     wanted = {
         text: share + (index < more) for index, text in enumerate(task.instructions)
