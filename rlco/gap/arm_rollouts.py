@@ -9,17 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import mujoco
 import numpy as np
-from scipy.signal import savgol_filter
 
 from rlco.gap.log import Array, Log, Recording
+from rlco.gap.needed_torque import limits, servo_torque
 from rlco.gap.problem import Candidate, Hypothesis, Integers, Layout
 from rlco.gap.rollout_kernel import roll_out, roll_out_terms
+from rlco.gap.shots import (
+    Shot,
+    held_commands,
+    joint_velocity,
+    parts_of,
+    shots_of,
+)
 from rlco.gap.spread import apply_spread, spread_names
 from rlco.physics.effects import EFFECTS, StepTerms
 from rlco.physics.effects.apply import (
@@ -32,39 +37,6 @@ from rlco.physics.effects.apply import (
 from rlco.physics.effects.joint_compliance import SUFFIX
 from rlco.physics.effects.targets import actuator_of, dof_of
 from rlco.physics.libmujoco import unsaid_warnings
-
-SETTLE = 0.3  # seconds in which an arm forgets a wrong initial speed
-# A limit is felt where it is below what is needed, and a joint that has far too little
-# falls, whatever else it does: limits to start from, as close as a fit reaches.
-_CLOSE = 1.4
-_MOST_STARTS = 8
-
-
-@dataclass(frozen=True)
-class Shot:
-    """A part of a recording that is rolled out from a measured state.
-
-    Attributes:
-        recording: Index of the recording.
-        first: Its first row, where it is rolled out from.
-        begin: The first row that is compared.
-        last: Its last row.
-        steps: Physics steps from the recording's first row to this one's first.
-        commands: Physics steps of this shot.
-        frames: Step of the shot before each compared row, (rows,).
-        weights: Where the row lies between that step and the next, (rows,).
-        state: Positions and velocities at the first row, (2, joints).
-    """
-
-    recording: int
-    first: int
-    begin: int
-    last: int
-    steps: int
-    commands: int
-    frames: Integers
-    weights: Array
-    state: Array
 
 
 class ArmRollouts:
@@ -99,13 +71,13 @@ class ArmRollouts:
         ]
         step = float(self.model.opt.timestep)
         self._commands = [
-            _held(recording, step, self.model.nu, self._columns)
+            held_commands(recording, step, self.model.nu, self._columns)
             for recording in log.recordings
         ]
         self.shots = [
             shot
             for index, recording in enumerate(log.recordings)
-            for shot in _shots(index, recording, step, horizon)
+            for shot in shots_of(index, recording, step, horizon)
         ]
         self.layout = self._layout()
 
@@ -126,10 +98,16 @@ class ArmRollouts:
         How much that is depends on the motion: a joint that turns about the vertical
         holds nothing, and one that the log moves slowly never needs what it could give.
         """
+        found = [self.traces(Hypothesis(), i) for i in range(len(self.log.recordings))]
+        command, position, velocity = (
+            np.concatenate([one[name] for one in found])
+            for name in ("command", "simulated", "velocity")
+        )
+        torque = servo_torque(self.model, self.log.joints, command, position, velocity)
         return {
-            Candidate("torque_limit", name): _limits(np.abs(torque))
-            for name, torque in zip(self.log.joints, self._needed().T, strict=True)
-            if np.isfinite(torque).all() and torque.any()
+            Candidate("torque_limit", name): limits(np.abs(column))
+            for name, column in zip(self.log.joints, torque.T, strict=True)
+            if np.isfinite(column).all() and column.any()
         }
 
     def residuals(
@@ -144,7 +122,7 @@ class ArmRollouts:
         jobs = [
             (hypothesis, part)
             for hypothesis in hypotheses
-            for part in _parts(shots, len(hypotheses), self.threads)
+            for part in parts_of(shots, len(hypotheses), self.threads)
         ]
         with unsaid_warnings():
             rows = list(self._pool.map(lambda job: self.simulate(*job), jobs))
@@ -159,7 +137,7 @@ class ArmRollouts:
     def traces(self, hypothesis: Hypothesis, recording: int) -> Mapping[str, Array]:
         """Return signals of one recording, see `Problem.traces`."""
         log = self.log.recordings[recording]
-        position, velocity = log.position, _velocity(log)
+        position, velocity = log.position, joint_velocity(log)
         simulated = np.array(position, dtype=float)
         left = self.residuals([hypothesis], [recording])[0]
         rows = np.concatenate(
@@ -188,33 +166,6 @@ class ArmRollouts:
             if actuator in self._columns:
                 commands[:, column] = sent[:, self._columns.index(actuator)]
         return commands
-
-    def _needed(self) -> Array:
-        """The torque of each joint's actuator without any effect, (rows, joints)."""
-        left = self.residuals([Hypothesis()])[0]
-        at, needed = 0, left.reshape(-1, len(self.log.joints)).copy()
-        for shot in self.shots:
-            log, part = (
-                self.log.recordings[shot.recording],
-                slice(shot.begin, shot.last + 1),
-            )
-            rows = needed[at : at + shot.last + 1 - shot.begin]
-            at += len(rows)
-            position = np.asarray(log.position)[part] - rows
-            velocity = _velocity(log)[part]
-            command = self._joint_commands(log)[part]
-            for column, name in enumerate(self.log.joints):
-                actuator = actuator_of(self.model, name)
-                gain, gear = (
-                    self.model.actuator_gainprm[actuator, 0],
-                    self.model.actuator_gear[actuator, 0],
-                )
-                bias = self.model.actuator_biasprm[actuator]
-                force = gain * command[:, column] + bias[0]
-                force += gear * bias[1] * position[:, column]
-                force += gear * bias[2] * velocity[:, column]
-                rows[:, column] = force if actuator >= 0 else 0.0
-        return np.asarray(needed)
 
     def _static_torque(self, position: Array) -> Array:
         """Torque against gravity in each row, (T, joints)."""
@@ -344,81 +295,5 @@ def _addresses(
     return np.array(read), (positions, velocities)
 
 
-def _limits(torque: Array) -> tuple[float, ...]:
-    """Return limits from just below the largest torque to below the usual one."""
-    high = 0.9 * float(np.quantile(torque, 0.995))
-    low = max(0.6 * float(np.median(torque)), 0.08 * high)
-    count = int(np.ceil(np.log(high / low) / np.log(_CLOSE))) + 1
-    return tuple(np.geomspace(high, low, min(max(count, 2), _MOST_STARTS)).tolist())
-
-
 def _joint_names(model: mujoco.MjModel) -> set[str]:
     return {model.joint(i).name for i in range(model.njnt)}
-
-
-def _held(recording: Recording, step: float, size: int, columns: list[int]) -> Array:
-    """Return the commands at each physics step, held between rows, (steps, nu)."""
-    steps = round(recording.seconds / step) + 1
-    times = recording.time[0] + step * np.arange(steps)
-    # A row counts from the step that is nearest to it in time.
-    row = np.searchsorted(recording.time, times + 0.5 * step, side="right") - 1
-    commands = np.zeros((steps, size))
-    commands[:, columns] = np.asarray(recording.command, dtype=float)[row]
-    return commands
-
-
-def _velocity(recording: Recording) -> Array:
-    if recording.velocity is not None:
-        return np.asarray(recording.velocity, dtype=float)
-    period = float(np.median(np.diff(recording.time)))
-    rows = min(9, recording.rows - (recording.rows + 1) % 2)
-    return np.asarray(
-        savgol_filter(recording.position, rows, min(3, rows - 1), 1, period, axis=0)
-    )
-
-
-def _shots(
-    index: int, recording: Recording, step: float, horizon: float | None
-) -> list[Shot]:
-    rows = recording.rows
-    period = float(np.median(np.diff(recording.time)))
-    length = rows - 1 if horizon is None else max(2, round(horizon / period))
-    velocity = _velocity(recording)
-    position = np.asarray(recording.position, dtype=float)
-    # A speed told from positions is poor at the first row of a recording.
-    settle = 0 if recording.velocity is not None else round(SETTLE / period)
-    settle = min(settle, max(0, rows - 3))
-    shots = []
-    for first in range(0, rows - 2, length):
-        last = min(first + length, rows - 1)
-        begin = round((recording.time[first] - recording.time[0]) / step)
-        begin_row = first + 1 + (settle if horizon is None else 0)
-        exact = (recording.time[begin_row : last + 1] - recording.time[0]) / step
-        exact = exact - begin
-        near = np.round(exact)
-        exact = np.where(np.abs(exact - near) < 1e-3, near, exact)
-        frames = np.floor(exact).astype(np.int64)
-        steps = int(frames[-1]) + 1
-        state = np.stack([position[first], velocity[first]])
-        shots.append(
-            Shot(
-                index,
-                first,
-                begin_row,
-                last,
-                begin,
-                steps,
-                frames,
-                exact - frames,
-                state,
-            )
-        )
-    return shots
-
-
-def _parts(shots: list[Shot], hypotheses: int, threads: int) -> list[list[Shot]]:
-    """Split the shots where there are fewer hypotheses than threads could take."""
-    if hypotheses >= 4 * threads or len(shots) < threads:
-        return [shots]
-    bounds = np.linspace(0, len(shots), threads + 1).astype(int)
-    return [shots[a:b] for a, b in pairwise(bounds)]
