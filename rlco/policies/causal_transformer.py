@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import cast
 
 import torch
@@ -10,6 +11,7 @@ from torch.nn import functional
 
 from rlco.errors import ConfigError
 
+_SPREAD = 0.2  # of the first bell, where the tokens lie on [-1, 1]
 #: Keys and values [N, heads, positions, width / heads] of each layer.
 Cache = list[tuple[torch.Tensor, torch.Tensor]]
 
@@ -66,9 +68,11 @@ class CausalTransformer(nn.Module):
     token after the other from the cached keys and values of the earlier ones. Both
     compute the same function.
 
-    Embedding and head start smooth over the tokens, as these are places on a line:
-    neighbours begin alike, and a few demonstrations teach all bins near them. Both are
-    free to become anything.
+    Tokens are places on a line, and their logits are those of a bell around a mean,
+    plus free ones. The mean is linear in features that no norm bounds: free logits
+    alone know the numbers that were demonstrated, and none beyond them. Embedding and
+    free logits start smooth over the tokens, so that a few demonstrations teach all
+    bins near them, and may become anything.
 
     Args:
         tokens: size of the vocabulary.
@@ -115,6 +119,8 @@ class CausalTransformer(nn.Module):
         self.blocks = nn.ModuleList(_Block(width, heads) for _ in range(layers))
         self.norm = nn.LayerNorm(width)
         self.head = nn.Parameter(torch.empty(tokens, width))
+        self.mean = nn.Linear(width, 1)
+        self.sharpness = nn.Linear(width, 1)
         self.reset_parameters()
 
     def reset_parameters(self) -> None:
@@ -123,6 +129,8 @@ class CausalTransformer(nn.Module):
             for weight in (self.embedding, self.head):
                 weight.copy_(_smooth(*weight.shape))
             self.head.mul_(0.1)  # near even at first
+            self.sharpness.weight.zero_()
+            self.sharpness.bias.fill_(-2.0 * math.log(_SPREAD))
             self.place.normal_(0.0, 0.5)
             self.gate.normal_(1.0, 1.0)
 
@@ -150,8 +158,8 @@ class CausalTransformer(nn.Module):
         x = functional.pad(shown, (0, 0, 1, 0)) + self._told(context, tokens.shape[1])
         for block in self.blocks:
             x = block(x)
-        x = self.norm(x)
-        return self._logits(x), x[:, 0]
+        normal = self.norm(x)
+        return self._logits(x, normal), normal[:, 0]
 
     def start(self, context: torch.Tensor) -> Cache:
         """Return empty caches for sequences with these contexts."""
@@ -182,7 +190,7 @@ class CausalTransformer(nn.Module):
         x = x.unsqueeze(1)
         for block, cache in zip(self.blocks, caches, strict=True):
             x = cast(_Block, block).step(x, cache, position)
-        return self._logits(self.norm(x[:, 0]))
+        return self._logits(x[:, 0], self.norm(x[:, 0]))
 
     def _told(self, context: torch.Tensor, positions: int) -> torch.Tensor:
         """Return what the first positions know before any token [N, P, width]."""
@@ -190,9 +198,17 @@ class CausalTransformer(nn.Module):
         told: torch.Tensor = self.read(gated) + self.place[:positions]
         return told
 
-    def _logits(self, x: torch.Tensor) -> torch.Tensor:
-        logits = functional.linear(x, self.head)
-        return logits.to(torch.promote_types(logits.dtype, torch.float32))
+    def _logits(self, x: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
+        """Return logits, at least float32, of features before and after the norm."""
+        free = functional.linear(normal, self.head)
+        precise = torch.promote_types(free.dtype, torch.float32)
+        line = torch.linspace(
+            -1.0, 1.0, len(self.head), dtype=precise, device=free.device
+        )
+        away = line - self.mean(x).to(precise)
+        sharpness = self.sharpness(normal).to(precise).exp()
+        logits: torch.Tensor = free.to(precise) - 0.5 * sharpness * away**2
+        return logits
 
 
 def _smooth(tokens: int, width: int) -> torch.Tensor:

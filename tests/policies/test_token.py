@@ -85,6 +85,7 @@ def test_ten_thousand_samples_come_as_often_as_evaluation_says(
 ) -> None:
     policy = tiny("token", bins=3, chunk=1, temperature=temperature)
     policy.network.head.data.mul_(0.3)  # no outcome is too rare to be counted
+    policy.network.sharpness.bias.data.fill_(-4.0)
     one = observations(1)
     sequences = torch.tensor(list(itertools.product(range(3), repeat=2))).view(9, 1, 2)
     td = one.expand(9).clone()
@@ -96,6 +97,30 @@ def test_ten_thousand_samples_come_as_often_as_evaluation_says(
     expected = 10_000 * probability.double() / probability.double().sum()
     assert expected.min() > 5  # for the chi-squared test to hold
     assert stats.chisquare(counts.numpy(), expected.detach().numpy()).pvalue > 1e-3
+
+
+def test_logits_are_a_bell_around_a_mean_and_free_ones() -> None:
+    network = tiny("token", bins=5).network
+    network.mean.weight.data.zero_()
+    network.mean.bias.data.fill_(0.25)
+    network.sharpness.bias.data.fill_(math.log(8.0))
+    network.head.data.zero_()
+    logits, _ = network(torch.randn(2, 8), torch.zeros(2, 4, dtype=torch.int64))
+    # Five tokens at -1, -0.5, 0, 0.5 and 1.
+    bell = [-4.0 * (place - 0.25) ** 2 for place in (-1.0, -0.5, 0.0, 0.5, 1.0)]
+    torch.testing.assert_close(logits, torch.tensor(bell).expand(2, 4, 5))
+
+
+def test_a_mean_goes_on_beyond_what_was_seen() -> None:
+    network = tiny("token", bins=5).network
+    network.gate.data.fill_(1.0)  # one straight line into the residual stream
+    tokens, way = torch.zeros(3, 4, dtype=torch.int64), torch.randn(1, 8)
+    far = network(way * torch.tensor([[1e3], [2e3], [3e3]]), tokens)[0].detach()
+    # Of the bell, which has the form -s (x - m)^2 / 2, the slope over x is s m.
+    slope = (far[..., -1] - far[..., 0])[:, 0] * network.sharpness.bias.exp().pow(-1)
+    steps = slope.diff().abs()
+    assert steps[0] > 1.0
+    torch.testing.assert_close(steps[0], steps[1], rtol=0.05, atol=0.0)
 
 
 def test_the_rollouts_log_probability_is_the_evaluations() -> None:
@@ -167,6 +192,7 @@ def test_imitation_by_hand(noise_std: float) -> None:
     # Even logits: every label costs log(6), blurred or not.
     policy = tiny("token", noise_std=noise_std)
     policy.network.head.data.zero_()
+    policy.network.sharpness.bias.data.fill_(-torch.inf)
     td = demonstrations(policy, 3)
     expected = torch.full((3, 2), math.log(6))
     torch.testing.assert_close(policy.imitation_loss(td), expected)
