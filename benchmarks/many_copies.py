@@ -1,9 +1,13 @@
 """Memory and speed of the native backend as the number of copies grows; leaks.
 
-Run ``python benchmarks/many_copies.py [task=push_cube] [out=FOLDER]`` with
+Run ``python benchmarks/many_copies.py [task=push_cube] [seconds=15] [out=FOLDER]`` with
 OMP_NUM_THREADS=1: it prints a markdown table for N from 1 to 256, each N measured in a
-process of its own, and writes a figure to `out` if given. ``leak=STEPS`` makes that
-many control steps instead, with resets, and prints the resident memory on the way.
+process of its own for so many seconds, and writes a figure to `out` if given; about
+three minutes. Speeds are medians over chunks, which short disturbances do not change.
+
+``leak=STEPS [threads=1]`` makes that many control steps instead, with resets, and
+prints the resident memory every 100,000 steps: what was printed stands when it is
+stopped.
 """
 
 from __future__ import annotations
@@ -20,6 +24,7 @@ from rlco.envs import make_env
 
 NUMBERS = (1, 4, 16, 64, 128, 256)
 CHUNK, HORIZON = 5, 50
+LEAK_COPIES, LEAK_ROW = 16, 100_000
 
 
 def resident() -> float:
@@ -29,28 +34,34 @@ def resident() -> float:
     return int(line.split()[1]) / 1e3
 
 
-def measure(task: str, number: int) -> tuple[float, float]:
+def measure(task: str, number: int, seconds: float) -> tuple[float, float]:
     """Return resident memory [MB] and control steps a second of N copies."""
     env = make_env(task, num_envs=number)
     copies: Any = getattr(env, "stepper", None) or getattr(env, "backend")  # noqa: B009
-    env.reset()
+    size = copies.copies.control.action_size
     rng = np.random.default_rng(0)
-    actions = rng.uniform(-0.5, 0.5, (number, CHUNK, copies.copies.control.action_size))
-    copies.step(actions)
-    repeats = max(1, 64 // number)
-    began = time.perf_counter()
-    for _ in range(repeats):
+    took: list[float] = []
+    until = np.inf  # until the first chunk is done, which loads what was compiled
+    while time.perf_counter() < until or len(took) < 2:
+        if len(took) % (HORIZON // CHUNK) == 0:
+            env.reset()
+        actions = rng.uniform(-0.5, 0.5, (number, CHUNK, size))
+        began = time.perf_counter()
         copies.step(actions)
-    return resident(), repeats * number * CHUNK / (time.perf_counter() - began)
+        took.append(time.perf_counter() - began)
+        if len(took) == 1:
+            until = time.perf_counter() + seconds
+    return resident(), number * CHUNK / float(np.median(took[1:]))
 
 
-def grow(task: str, out: str) -> None:
+def grow(task: str, seconds: float, out: str) -> None:
     """Print the table, and draw it."""
     rows = []
     print(f"| copies of {task} | resident memory [MB] | control steps a second |")
     print("|---|---|---|")
     for number in NUMBERS:
-        command = [sys.executable, __file__, f"task={task}", f"one={number}"]
+        options = f"task={task}", f"one={number}", f"seconds={seconds}"
+        command = [sys.executable, __file__, *options]
         text = subprocess.run(command, capture_output=True, text=True, check=True)
         memory, speed = map(float, text.stdout.split()[-2:])
         rows.append((memory, speed))
@@ -61,44 +72,47 @@ def grow(task: str, out: str) -> None:
 
 def draw(task: str, rows: np.ndarray, folder: Path) -> None:
     """Write the figure."""
-    import matplotlib as mpl
+    from rlco.plot_style import caption, new_figure, save_figure
 
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
+    title = f"Memory and speed with many copies of {task}"
+    figure, panels = new_figure(title, 2, height=2.9)
+    labels = "resident memory [MB]", "control steps a second"
+    for axis, column, label in zip(panels, rows.T, labels, strict=True):
+        axis.plot(NUMBERS, column, "o-", color="#0072b2", markersize=4)
+        axis.set(xlabel="copies", ylabel=label, xscale="log")
+        axis.set_xticks(NUMBERS, [str(number) for number in NUMBERS])
+        axis.minorticks_off()
+        axis.set_ylim(0, 1.1 * column.max())
+    caption(figure, "One process a point; native, one thread a core.")
+    save_figure(figure, folder / "many_copies.png")
 
-    figure, axes = plt.subplots(1, 2, figsize=(7, 2.6), layout="constrained")
-    for axis, column, label in zip(
-        axes, rows.T, ("resident memory [MB]", "control steps a second"), strict=True
-    ):
-        axis.plot(NUMBERS, column, "o-")
-        axis.set(xlabel=f"copies of {task}", ylabel=label, xscale="log", ylim=0)
-    folder.mkdir(parents=True, exist_ok=True)
-    figure.savefig(folder / "many_copies.png", dpi=150)
 
-
-def leak(task: str, steps: int) -> None:
-    """Make control steps with resets, and print the resident memory ten times."""
-    number = 16
-    env = make_env(task, num_envs=number, chunk=CHUNK, horizon=HORIZON)
+def leak(task: str, steps: int, threads: int | None) -> None:
+    """Make control steps with resets, and print the resident memory on the way."""
+    env = make_env(
+        task, num_envs=LEAK_COPIES, chunk=CHUNK, horizon=HORIZON, threads=threads
+    )
     td = env.reset()
-    per_decision, done, marks = number * CHUNK, 0, 0
+    done = printed = 0
     print("| control steps | resident memory [MB] | divergences |")
-    print("|---|---|---|")
+    print("|---|---|---|", flush=True)
     while done < steps:
         td.set("action", env.action_spec.rand())
         _, td = env.step_and_maybe_reset(td)
-        done += per_decision
-        if done >= (marks + 1) * steps / 10:
-            marks += 1
+        done += LEAK_COPIES * CHUNK
+        if done - printed >= LEAK_ROW or done >= steps:
+            printed = done
             print(f"| {done} | {resident():.1f} | {env.divergences} |", flush=True)
 
 
 if __name__ == "__main__":
     given = dict(argument.split("=", 1) for argument in sys.argv[1:])
     name = given.get("task", "push_cube")
+    length = float(given.get("seconds", 15))
     if "one" in given:
-        print(*measure(name, int(given["one"])))
+        print(*measure(name, int(given["one"]), length))
     elif "leak" in given:
-        leak(name, int(given["leak"]))
+        count = int(given["threads"]) if "threads" in given else None
+        leak(name, int(given["leak"]), count)
     else:
-        grow(name, given.get("out", ""))
+        grow(name, length, given.get("out", ""))

@@ -1,135 +1,155 @@
-"""How closely native copies of robosuite's tasks follow robosuite.
+"""How closely native copies of tasks follow robosuite.
 
-Run ``python benchmarks/same_physics.py [episodes=50] [steps=200] [out=FOLDER]`` with
-OMP_NUM_THREADS=1; it prints one markdown table. Every control step starts from
-robosuite's state, random actions throughout, contacts included; differences are the
-largest over all steps. ``open=1`` instead steps open loop, prints how far the joint
-positions are apart after each second, and draws that into `out` if given.
+Run ``python benchmarks/same_physics.py [tasks=Lift,Door] [episodes=50] [steps=200]``
+with OMP_NUM_THREADS=1; it prints one markdown table, a task's rows as they come. Every
+control step starts from robosuite's state, random actions throughout, contacts
+included; differences are the largest over all steps.
+
+``open=1 out=FOLDER`` instead steps open loop and draws how far the coordinates get
+apart into ``FOLDER/open_loop.png``. What to compare it with: the same episodes in
+robosuite's own arithmetic, started with the arm's first joint 1e-15 rad aside.
 """
 
 from __future__ import annotations
 
 import sys
 from pathlib import Path
-from typing import Any
 
-import mujoco
 import numpy as np
+from numpy.typing import NDArray
+from physics_pairs import KINDS, Pair, anchor, apart, make_pair, touching
 
-from rlco.physics.global_random import seeded
-from rlco.physics.robosuite_batch import RobosuiteBatch
-from rlco.physics.robosuite_stepper import keep_divergence
-from rlco.physics.robosuite_tasks import make_plain
+from rlco.physics.task import TASK_NAMES
 
-TASKS = ("Lift", "Stack", "Door", "NutAssembly")
-
-
-def make_pair(task: str, *, exact: bool) -> tuple[Any, RobosuiteBatch]:
-    """Return robosuite's environment and one native copy of it."""
-    env = make_plain(task, reward_shaping=True)
-    keep_divergence(env)
-    twin = make_plain(task, reward_shaping=True)
-    return env, RobosuiteBatch(twin, num_envs=1, threads=1, exact=exact)
+TASKS = ("Lift", "Stack", "Door", "NutAssembly", *TASK_NAMES)
+NUDGE = 1e-15  # [rad]
+MARKS = (1, 2, 5, 10)  # [s]
+RATE = 20  # control steps a second
+Curves = dict[str, NDArray[np.float64]]
 
 
-def start(env: Any, batch: RobosuiteBatch, seed: int) -> None:
-    """Start the same episode on both."""
-    with seeded(seed):
-        env.reset()
-    batch.reset([seed])
-
-
-def anchor(env: Any, batch: RobosuiteBatch) -> None:
-    """Copy robosuite's integration state into the native copy."""
-    model, data = env.sim.model._model, env.sim.data._data
-    kind = mujoco.mjtState.mjSTATE_INTEGRATION
-    state = np.empty(mujoco.mj_stateSize(model, kind))
-    mujoco.mj_getState(model, data, state, kind)
-    mujoco.mj_setState(batch.model, batch.data[0], state, kind)
-    batch.copies.memory.grip[0] = env.robots[0].gripper["right"].current_action
-
-
-def apart(env: Any, batch: RobosuiteBatch) -> float:
-    """Return the largest difference of a coordinate [rad, m]."""
-    return float(np.abs(env.sim.data._data.qpos - batch.data[0].qpos).max())
-
-
-def anchored(task: str, exact: bool, episodes: int, steps: int) -> str:
-    """Return a row of the table."""
-    env, batch = make_pair(task, exact=exact)
-    rows, flags = [], 0
+def anchored(name: str, episodes: int, steps: int) -> list[str]:
+    """Return a task's rows of the table."""
+    pair = make_pair(name)
+    contacts = 0
+    found: dict[str, list[tuple[float, float, bool]]] = {k: [] for k in KINDS}
     for seed in range(episodes):
-        start(env, batch, seed)
+        pair.start(seed)
         rng = np.random.default_rng(seed)
         for _ in range(steps):
-            action = rng.uniform(-1, 1, batch.action_size)
-            anchor(env, batch)
-            _, reward, _, _ = env.step(action)
-            out = batch.step(action[None, None])
-            rows.append((apart(env, batch), abs(reward - out.reward[0, 0])))
-            flags += bool(out.success[0] != env._check_success())
-    qpos, reward = np.array(rows).T
-    share = (qpos <= 1e-9).mean()
+            anchor(pair)
+            differences = pair.step(rng.uniform(-1, 1, action_size(pair)))
+            contacts += touching(pair.env)
+            for kind, (reward, flag) in differences.items():
+                found[kind].append((apart(pair, kind), reward, flag))
+    return [row(name, kind, rows, contacts) for kind, rows in found.items()]
+
+
+def row(
+    name: str, kind: str, rows: list[tuple[float, float, bool]], contacts: int
+) -> str:
+    """Write a row of the table."""
+    qpos, reward, flags = np.array(rows).T
     return (
-        f"| {task} | {'exact' if exact else 'fast'} | {qpos.size} | {share:.2%} | "
-        f"{qpos.max():.0e} | {reward.max():.0e} | {flags} |"
+        f"| {name} | {kind} | {qpos.size} | {contacts / qpos.size:.0%} | "
+        f"{(qpos <= 1e-9).mean():.2%} | {qpos.max():.0e} | {reward.max():.0e} | "
+        f"{flags.sum():.0f} |"
     )
 
 
-def open_loop(episodes: int, steps: int, out: str) -> None:
-    """Print and draw how trajectories part."""
-    curves = {}
-    for task in TASKS:
-        for exact in (True, False):
-            env, batch = make_pair(task, exact=exact)
-            found = np.zeros((episodes, steps))
-            for seed in range(episodes):
-                start(env, batch, seed)
-                rng = np.random.default_rng(seed)
-                for step in range(steps):
-                    action = rng.uniform(-1, 1, batch.action_size)
-                    env.step(action)
-                    batch.step(action[None, None])
-                    found[seed, step] = apart(env, batch)
-            curves[f"{task}, {'exact' if exact else 'fast'}"] = found
-            seconds = found[:, 19::20]
-            print(task, exact, *(f"{x:.0e}" for x in np.median(seconds, axis=0)))
-    if out:
-        draw(curves, Path(out))
+def action_size(pair: Pair) -> int:
+    """Return how many numbers an action has."""
+    return int(pair.native["fast"].copies.control.action_size)
 
 
-def draw(curves: dict[str, Any], folder: Path) -> None:
-    """Write the figure: medians over episodes."""
-    import matplotlib as mpl
-
-    mpl.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axis = plt.subplots(figsize=(6, 3), layout="constrained")
-    for name, found in curves.items():
-        time = np.arange(1, found.shape[1] + 1) / 20
-        axis.plot(time, np.maximum(np.median(found, axis=0), 1e-17), label=name)
-    axis.set(xlabel="time [s]", ylabel="largest difference [rad, m]", yscale="log")
-    axis.legend(fontsize="x-small", ncols=2)
-    folder.mkdir(parents=True, exist_ok=True)
-    figure.savefig(folder / "open_loop.png", dpi=150)
-
-
-def main(episodes: int = 50, steps: int = 200) -> None:
+def closeness(tasks: tuple[str, ...], episodes: int, steps: int) -> None:
     """Measure, and print the table."""
-    columns = "task, arithmetic, control steps, within 1e-9, largest in qpos, "
-    columns += "largest in reward, success flags that differ"
+    columns = "task, arithmetic, control steps, robot touches something, "
+    columns += "within 1e-9, largest in qpos, largest in reward, "
+    columns += "success flags that differ"
     print("| " + columns.replace(", ", " | ") + " |")
-    print("|---|---|---|---|---|---|---|")
-    for task in TASKS:
-        for exact in (True, False):
-            print(anchored(task, exact, episodes, steps), flush=True)
+    print("|---|---|---|---|---|---|---|---|", flush=True)
+    for name in tasks:
+        for text in anchored(name, episodes, steps):
+            print(text, flush=True)
+
+
+def open_loop(name: str, episodes: int, steps: int) -> Curves:
+    """Return how far apart trajectories are, by what differs, each [episode, step]."""
+    pair = make_pair(name, copies=2)
+    arm = pair.native["exact"].copies.control.arm_qpos
+    shape = (episodes, steps)
+    curves = {kind: np.zeros(shape) for kind in (*KINDS, "nudged")}
+    for seed in range(episodes):
+        pair.start(seed)
+        pair.native["exact"].data[1].qpos[arm[0]] += NUDGE
+        rng = np.random.default_rng(seed)
+        for step in range(steps):
+            pair.step(rng.uniform(-1, 1, action_size(pair)))
+            for kind in KINDS:
+                curves[kind][seed, step] = apart(pair, kind)
+            curves["nudged"][seed, step] = apart(pair, "exact", copy=1)
+    return curves
+
+
+def parting(tasks: tuple[str, ...], episodes: int, steps: int, out: str) -> None:
+    """Print how trajectories part, medians over episodes, and draw it."""
+    marks = [mark for mark in MARKS if mark * RATE <= steps]
+    print("| task | what differs | " + " | ".join(f"{mark} s" for mark in marks) + " |")
+    print("|---|---|" + "---|" * len(marks), flush=True)
+    found = {}
+    for name in tasks:
+        found[name] = open_loop(name, episodes, steps)
+        for kind, curve in found[name].items():
+            medians = np.median(curve, axis=0)
+            cells = " | ".join(f"{medians[mark * RATE - 1]:.0e}" for mark in marks)
+            print(f"| {name} | {kind} | {cells} |", flush=True)
+    if out:
+        draw(found, episodes, Path(out))
+
+
+def draw(found: dict[str, Curves], episodes: int, folder: Path) -> None:
+    """Write the figure: medians over episodes, robosuite's tasks and rlco's."""
+    from rlco.plot_style import caption, new_figure, save_figure
+
+    figure, panels = new_figure(
+        "How fast open-loop trajectories part from robosuite's", 2, height=3.6
+    )
+    sides = ("robosuite's tasks", False), ("rlco's tasks", True)
+    colours = ("#0072b2", "#e69f00", "#009e73", "#cc79a7")
+    for axis, (title, ours) in zip(panels, sides, strict=True):
+        names = [name for name in found if (name in TASK_NAMES) == ours]
+        for name, colour in zip(names, colours, strict=False):
+            for kind, dashes in (("fast", "-"), ("nudged", ":")):
+                medians = np.median(found[name][kind], axis=0)
+                axis.plot(
+                    np.arange(1, medians.size + 1) / RATE,
+                    np.maximum(medians, 1e-17),
+                    dashes,
+                    color=colour,
+                    linewidth=1.4,
+                    label=name if kind == "fast" else None,
+                )
+        axis.set_title(title, loc="left", fontsize=10)
+        axis.set(yscale="log", ylim=(1e-17, 10), xlabel="time [s]", xlim=0)
+        axis.set_yticks([1e-15, 1e-12, 1e-9, 1e-6, 1e-3, 1])
+        axis.minorticks_off()
+        axis.legend(frameon=False, fontsize=8.5, loc="lower right")
+    panels[0].set_ylabel("largest difference [rad, m]")
+    caption(
+        figure,
+        f"Medians over {episodes} episodes of random actions. Solid: native, fast "
+        "arithmetic. Dotted: robosuite's own arithmetic, its start 1e-15 rad aside. "
+        "Native with exact=True is in the table.",
+    )
+    save_figure(figure, folder / "open_loop.png")
 
 
 if __name__ == "__main__":
     given = dict(argument.split("=", 1) for argument in sys.argv[1:])
     counts = int(given.get("episodes", 50)), int(given.get("steps", 200))
+    chosen = tuple(given["tasks"].split(",")) if "tasks" in given else TASKS
     if "open" in given:
-        open_loop(*counts, given.get("out", ""))
+        parting(chosen, *counts, given.get("out", ""))
     else:
-        main(*counts)
+        closeness(chosen, *counts)

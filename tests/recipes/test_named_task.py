@@ -1,0 +1,100 @@
+"""The recipes of Stage I and of evaluation take one of robosuite's own tasks."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+import torch
+from recipe_cases import SFT, Assets, refused, start
+from tensordict import TensorDictBase
+
+from rlco import keys
+from rlco.data import DemoWriter
+from rlco.envs import make_env
+from rlco.metrics import read_metrics
+from rlco.policies import load_policy
+
+LIFT = "robosuite:Lift"
+STEPS = 24
+
+
+@pytest.fixture(scope="module")
+def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Record two episodes in which the tool goes towards the cube: no expert's."""
+    folder = tmp_path_factory.mktemp("lift") / "demos"
+    env = make_env(LIFT, num_envs=2, seed=3, threads=1)
+    names = list(env.task.environment_state_names)
+    away = names.index("gripper_to_cube_pos.0")
+
+    def reach(td: TensorDictBase) -> TensorDictBase:
+        action = torch.zeros(2, 1, 7)
+        action[..., :3] = 5.0 * td[keys.ENVIRONMENT_STATE][:, None, away : away + 3]
+        return td.set(keys.ACTION, action.clamp(-1, 1))
+
+    rollout = env.rollout(STEPS, reach)
+    writer = DemoWriter(
+        folder,
+        fps=env.task.control_frequency,
+        state_names=env.task.state_names,
+        action_names=env.task.action_names,
+        environment_state_names=names,
+    )
+    with writer:
+        for episode in rollout:
+            for row in episode:
+                writer.add_frame(
+                    state=row[keys.STATE].numpy(),
+                    action=row[keys.ACTION][0].numpy(),
+                    task=env.task.instructions[0],
+                    environment_state=row[keys.ENVIRONMENT_STATE].numpy(),
+                )
+            writer.save_episode()
+    return folder
+
+
+@pytest.fixture(scope="module")
+def policy(demos: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Imitate them for 40 updates."""
+    out = tmp_path_factory.mktemp("lift") / "sft"
+    rest = [o for o in SFT if not o.startswith(("updates", "log_every", "batch_size"))]
+    more = ("sim_ratio=1", "updates=40", "log_every=20", "batch_size=32", "lr=1e-2")
+    start("sft", f"task={LIFT}", f"sim_demos={demos}", *rest, *more, f"out={out}")
+    return out / "policy"
+
+
+def test_stage_one_learns_from_demonstrations_of_lift(policy: Path) -> None:
+    rows = read_metrics(policy.parent / "metrics.csv")
+    assert rows[-1]["loss_bc"] < rows[0]["loss_bc"]
+    _, extra = load_policy(policy)
+    assert extra["task"] == LIFT
+    assert extra["instructions"] == ["lift the cube"]
+    assert extra["state_names"][:3] == ["tool.x", "tool.y", "tool.z"]
+
+
+def test_evaluation_plays_robosuites_episodes(policy: Path, tmp_path: Path) -> None:
+    out = tmp_path / "evaluation"
+    given = (f"policy={policy}", f"task={LIFT}", "episodes=1")
+    start("evaluate", *given, f"out={out}")
+    (row,) = json.loads((out / "results.json").read_text())["rows"]
+    # Fingers that never close lift nothing.
+    assert (row["task"], row["episodes"], row["successes"]) == (LIFT, 1, 0)
+
+
+def test_policies_and_demonstrations_of_another_task_are_refused(
+    policy: Path,
+    demos: Path,
+    assets: Assets,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+) -> None:
+    out = tmp_path / "out"
+    line = refused(
+        capsys, "evaluate", f"policy={policy}", "task=push_cube", f"out={out}"
+    )
+    assert f"was trained on '{LIFT}'" in line
+    given = (f"sim_demos={assets.sim}", "sim_ratio=1", f"out={out}")
+    line = refused(capsys, "sft", f"task={LIFT}", *given)
+    assert "observation.state" in line
+    assert not out.exists()
