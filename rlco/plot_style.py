@@ -86,7 +86,7 @@ def styles(methods: Iterable[str]) -> dict[str, tuple[str, str]]:
     """
     given = dict.fromkeys(methods)
     known = {name: look for name, look in METHOD_STYLES.items() if name in given}
-    others = sorted(name for name in given if name not in known)
+    others = [name for name in given if name not in known]
     spare = itertools.cycle(_SPARE_STYLES)
     return known | dict(zip(others, spare, strict=False))
 
