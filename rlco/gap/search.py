@@ -60,8 +60,9 @@ def _without_unseen(search: Search, best: Scored) -> Scored:
     """Drop effects that could not be told from the spread but for the others.
 
     A robot on the brink shows numbers that are a hundredth off as if they were news.
+    Where a number ran to its bounds all of them are in doubt, and are left as they are.
     """
-    while len(best.effects) > 1:
+    while len(best.effects) > 1 and not at_bounds(search, best):
         lists = [(), *((effect,) for effect in best.effects)]
         parts = [search.residuals(lists, p) for p in (search.train, search.heldout)]
         rows = np.hstack(parts)
@@ -79,6 +80,19 @@ def _without_unseen(search: Search, best: Scored) -> Scored:
         best = fits[0]
         search.trail.append({"effects": best.effects, "dropped": True})
     return best
+
+
+def at_bounds(search: Search, best: Scored) -> bool:
+    """Return whether a number went as far as it may: something else was meant."""
+    for effect in best.effects:
+        known = search.library[Candidate(effect.name, effect.target)]
+        for parameter, value in zip(known, effect.values, strict=True):
+            near = 1e-3 * (parameter.high - parameter.low)
+            away = abs(value - parameter.neutral) > near
+            low, high = value - parameter.low < near, parameter.high - value < near
+            if away and (low or high):
+                return True
+    return False
 
 
 def first_look(search: Search) -> Search:

@@ -15,7 +15,7 @@ from rlco.gap.search_state import Scored, Search
 from rlco.gap.weighting import Weighting
 from rlco.physics.effects import AppliedEffect
 
-GREW = 3.0  # times as sensitive to the spread, as mean squares go, is looked at again
+GREW = 30.0  # times as sensitive to the spread, in squares: looked at again
 _STEP = 0.01  # of a number, to see what the spread does
 
 

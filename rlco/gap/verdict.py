@@ -12,7 +12,7 @@ from rlco.gap.left_over import describe_left
 from rlco.gap.log import Array
 from rlco.gap.probe import probe, start_of
 from rlco.gap.problem import Candidate, Finding, Gap, Hypothesis, Value, Verdict
-from rlco.gap.search import BETTER, first_look, ranked, refined
+from rlco.gap.search import BETTER, at_bounds, first_look, ranked, refined
 from rlco.gap.search_state import Scored, Search
 from rlco.physics.effects import EFFECTS, AppliedEffect
 
@@ -85,19 +85,6 @@ def _kind(
     if at_bounds(search, best) or not _helps(search, best):
         return "unexplained"
     return "ambiguous" if any(names for names, _ in rivals) else "named"
-
-
-def at_bounds(search: Search, best: Scored) -> bool:
-    """Return whether a number went as far as it may: something else was meant."""
-    for effect in best.effects:
-        known = search.library[Candidate(effect.name, effect.target)]
-        for parameter, value in zip(known, effect.values, strict=True):
-            near = 1e-3 * (parameter.high - parameter.low)
-            away = abs(value - parameter.neutral) > near
-            low, high = value - parameter.low < near, parameter.high - value < near
-            if away and (low or high):
-                return True
-    return False
 
 
 def _helps(search: Search, best: Scored) -> bool:
