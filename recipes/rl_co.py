@@ -96,13 +96,11 @@ def check(config: Config) -> None:
 def load(config: Config) -> tuple[Any, dict[str, Any]]:
     """Load the policy and the demonstrations, and check that they fit the task."""
     from rlco.data import load_task_demos
-    from rlco.physics.domain import make_domain
-    from rlco.physics.named_task import named_task
+    from rlco.physics.named_task import check_domains, named_task
     from rlco.policies import load_task_policy
 
     task = named_task(config.task)
-    for domain in config.eval_domains:
-        make_domain(domain)
+    check_domains(config.task, config.eval_domains if config.eval_episodes else ())
     policy = load_task_policy(config.policy, task)
     make_critic(config, policy)  # whether such a policy can have it shows here
     check(config)

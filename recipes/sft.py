@@ -110,12 +110,10 @@ class Config(RunOptions):
 def load(config: Config) -> dict[str, DemoReplayBuffer | None]:
     """Load the demonstrations that sim_ratio asks for."""
     from rlco.data import load_task_demos
-    from rlco.physics.domain import make_domain
-    from rlco.physics.named_task import named_task
+    from rlco.physics.named_task import check_domains, named_task
 
     task = named_task(config.task)
-    for domain in config.eval_domains:
-        make_domain(domain)
+    check_domains(config.task, config.eval_domains if config.eval_episodes else ())
     needed = {"sim_demos": config.sim_ratio > 0, "real_demos": config.sim_ratio < 1}
     problems = [
         f"sim_ratio={config.sim_ratio} needs {name}=FOLDER"

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cache
 
+from rlco.errors import RlcoError
+from rlco.physics.domain import make_domain
 from rlco.physics.robosuite_tasks import PREFIX, RobosuiteTask, make_plain
 from rlco.physics.task import Task, make_task
 
@@ -24,6 +27,25 @@ def named_task(task: str | Task) -> Task | RobosuiteTask:
     if isinstance(task, str) and task.startswith(PREFIX):
         return _of_robosuite(task.removeprefix(PREFIX))
     return make_task(task)
+
+
+def check_domains(task: str, domains: Iterable[str]) -> None:
+    """Refuse domains that are not there, or that a task cannot be evaluated in.
+
+    Raises:
+        UnknownNameError: There is no such domain.
+        RlcoError: The task is one of robosuite's, and has but one.
+
+    Example:
+        >>> check_domains("push_cube", ["sim", "stand_in"])
+    """
+    for domain in domains:
+        make_domain(domain)
+        if task.startswith(PREFIX) and domain != "sim":
+            raise RlcoError(
+                f"domain {domain!r} is not supported for {task!r}, one of robosuite's "
+                "own tasks; give 'eval_domains=[sim]'."
+            )
 
 
 @cache

@@ -95,6 +95,17 @@ def test_policies_and_demonstrations_of_another_task_are_refused(
     )
     assert f"was trained on '{LIFT}'" in line
     given = (f"sim_demos={assets.sim}", "sim_ratio=1", f"out={out}")
-    line = refused(capsys, "sft", f"task={LIFT}", *given)
+    line = refused(capsys, "sft", f"task={LIFT}", *given, "eval_domains=[sim]")
     assert "observation.state" in line
+    assert not out.exists()
+
+
+def test_a_domain_that_lift_lacks_is_refused_before_training(
+    demos: Path, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    given = (f"sim_demos={demos}", "sim_ratio=1", f"out={out}")
+    line = refused(capsys, "sft", f"task={LIFT}", *given)
+    assert "'stand_in' is not supported" in line
+    assert "eval_domains=[sim]" in line
     assert not out.exists()
