@@ -19,7 +19,7 @@ import argparse
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -70,15 +70,17 @@ def plan(first_seed: int, rounds: int = 1) -> list[Case]:
     return list(_cases(first_seed, rounds))
 
 
+def _size(random: np.random.Generator, low: float, high: float) -> float:
+    """Draw a size, as likely in each factor of two."""
+    return round(float(np.exp(random.uniform(np.log(low), np.log(high)))), 4)
+
+
 def _cases(first_seed: int, rounds: int) -> Iterator[Case]:
     seed = first_seed
     for number in range(rounds):
         random = np.random.default_rng([first_seed, number])
 
-        def some(low: float, high: float) -> float:
-            # Of sizes as likely in each factor of two.
-            span = np.log(low), np.log(high)
-            return round(float(np.exp(random.uniform(*span))), 4)  # noqa: B023
+        some = partial(_size, random)
 
         def at(name: str, target: str | None, **numbers: float) -> Hidden:
             return Hidden(name, target, numbers)

@@ -41,7 +41,7 @@ OPENVLA_7B = OpenVLAConfig(
 Actor = Any
 
 
-class OnMeta(PI05Policy):  # type: ignore[misc]
+class OnMeta(PI05Policy):
     """LeRobot's pi0.5 without memory for its weights."""
 
     def __init__(self, config: PI05Config) -> None:

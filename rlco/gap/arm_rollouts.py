@@ -16,7 +16,7 @@ import numpy as np
 
 from rlco.gap.log import Array, Log, Recording
 from rlco.gap.needed_torque import limits, servo_torque
-from rlco.gap.problem import Candidate, Hypothesis, Integers, Layout
+from rlco.gap.problem import Candidate, Hypothesis, Integers, Layout, Problem
 from rlco.gap.rollout_kernel import roll_out, roll_out_terms
 from rlco.gap.shots import (
     Shot,
@@ -39,7 +39,7 @@ from rlco.physics.effects.targets import actuator_of, dof_of
 from rlco.physics.libmujoco import unsaid_warnings
 
 
-class ArmRollouts:
+class ArmRollouts(Problem):
     """A `Problem` of an arm whose joints were commanded and logged.
 
     Args:
@@ -63,7 +63,6 @@ class ArmRollouts:
         self.model: mujoco.MjModel = spec.copy().compile()
         self.threads = threads
         self.spread_names = spread_names(self.model)
-        self.has_outliers = False
         self._pool = ThreadPoolExecutor(threads)
         self._columns = [self.model.actuator(name).id for name in log.actuators]
         self._positions = [

@@ -16,7 +16,7 @@ from rlco.errors import DataError, UnknownNameError
 from rlco.gap.first_velocity import FIRST_ROWS, first_velocity
 from rlco.gap.log import Array, Log, Recording
 from rlco.gap.noise import measurement_noise
-from rlco.gap.problem import Candidate, Hypothesis, Layout
+from rlco.gap.problem import Candidate, Hypothesis, Layout, Problem
 from rlco.physics.effects import EFFECTS
 from rlco.physics.effects.targets import free_bodies
 
@@ -25,7 +25,7 @@ _SHOWN = ("contact_friction", "contact_stiffness", "object_mass", "gravity_tilt"
 _SPREAD = {"friction": "contact_friction", "solref": "contact_stiffness"}
 
 
-class FreeBody:
+class FreeBody(Problem):
     """A `Problem`: poses of a free body against rollouts from where each began.
 
     Args:
@@ -75,7 +75,6 @@ class FreeBody:
         self._position = int(self.model.jnt_qposadr[joint])
         self._velocity = int(self.model.jnt_dofadr[joint])
         self.spread_names = tuple(_SPREAD) if self._touching() else ()
-        self.has_outliers = False
         self._rows = [_rows(recording, horizon) for recording in log.recordings]
         self._poses = [_poses(recording) for recording in log.recordings]
         gravity = np.array(self.model.opt.gravity)
@@ -98,10 +97,6 @@ class FreeBody:
             # All forces on a body among fixed ones grow with its mass, as in MuJoCo.
             shown = [one for one in shown if one.name != "object_mass"]
         return shown
-
-    def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
-        """Return nothing: the model tells enough, see `Problem.usual_sizes`."""
-        return {}
 
     def residuals(
         self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None

@@ -63,7 +63,10 @@ class Layout:
 
 
 class Problem(Protocol):
-    """A robot's model and log, and how simulation and measurement are compared."""
+    """A robot's model and log, and how simulation and measurement are compared.
+
+    Subclass it, or have what it has: `has_outliers` and `usual_sizes` have defaults.
+    """
 
     model: mujoco.MjModel
     log: Log
@@ -73,7 +76,7 @@ class Problem(Protocol):
     # What may be a little off everywhere: one name a number of `Hypothesis.spread`.
     spread_names: tuple[str, ...]
     # Whether some seconds may be wrong whatever is hypothesised (`rlco.gap.outliers`).
-    has_outliers: bool
+    has_outliers: bool = False
 
     def candidates(self) -> list[Candidate]:
         """Return each effect at each target that this comparison can show."""
@@ -81,7 +84,7 @@ class Problem(Protocol):
 
     def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
         """Return starts of first numbers, where the log tells more than the model."""
-        ...
+        return {}
 
     def residuals(
         self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None

@@ -24,7 +24,7 @@ import numpy as np
 from rlco.errors import DataError
 from rlco.gap.log import Array, Log
 from rlco.gap.noise import position_noise
-from rlco.gap.problem import Candidate, Hypothesis, Layout
+from rlco.gap.problem import Candidate, Hypothesis, Layout, Problem
 from rlco.gap.servo_kernel import Plant, Runs, simulate
 from rlco.gap.servo_plant import OWN, SERVO_NUMBERS, plant_of, spread_plant
 from rlco.gap.servo_runs import at_rows, enabled, joined, run_of
@@ -44,7 +44,7 @@ _NOT_SHOWN = (
 XL330 = 4096.0 / (2.0 * np.pi) / (256.0 * 885.0)
 
 
-class ServoBench:
+class ServoBench(Problem):
     """A `Problem` of one joint: positions that were logged against simulated ones.
 
     Args:
@@ -75,7 +75,6 @@ class ServoBench:
             )
         self._data = mujoco.MjData(self.model)
         self.spread_names = OWN
-        self.has_outliers = False
         self._step = float(self.model.opt.timestep)
         self._runs = [run_of(one, self._step, duty_gain) for one in log.recordings]
         self._joined: dict[tuple[int, ...], Runs] = {}
@@ -102,10 +101,6 @@ class ServoBench:
                 targets = (joint,)
             found += [Candidate(effect.name, target) for target in targets]
         return found
-
-    def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
-        """Return nothing: the model tells enough, see `Problem.usual_sizes`."""
-        return {}
 
     def residuals(
         self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None

@@ -19,6 +19,7 @@ from rlco.physics.arm_control import Control, Integers
 from rlco.physics.copies import Copies
 from rlco.physics.effect_kernels import look_range
 from rlco.physics.libmujoco import address_of
+from rlco.physics.native import scene_of
 from rlco.physics.native_kernels import OBJECTS, clear_range, forward_range
 from rlco.physics.task import SceneState
 
@@ -106,22 +107,10 @@ class Rollouts:
 
     def scene(self, features: Array) -> SceneState:
         """Return features (..., F) as a state, without what the episode places."""
-        tracked = self.plants.nominal.tracked
-        lead, goals = features.shape[:-1], len(self.plants.task.goals)
-        end = OBJECTS + 7 * tracked.objects.size
-        objects = features[..., OBJECTS:end].reshape(*lead, -1, 7)
-        return SceneState(
-            tool_position=features[..., :3],
-            tool_rotation=features[..., 3:12].reshape(*lead, 3, 3),
-            gripper_opening=features[..., 12] - features[..., 13],
-            joint_position=features[..., 14:21],
-            object_position=objects[..., :3],
-            object_quaternion=objects[..., 3:],
-            joint_opening=features[..., end:],
-            goal_position=np.zeros((*lead, goals, 3)),
-            goal_quaternion=np.zeros((*lead, goals, 4)),
-            instruction_id=np.zeros(lead, dtype=np.int64),
-        )
+        lead = features.shape[:-1]
+        placed = np.zeros((*lead, len(self.plants.task.goals), 7))
+        objects = self.plants.nominal.tracked.objects.size
+        return scene_of(features, objects, placed, np.zeros(lead, dtype=np.int64))
 
     def _pool_for(self, plant: Plant) -> _Pool:
         sizes = _sizes(plant.model)

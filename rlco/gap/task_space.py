@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rlco.errors import DataError
 from rlco.gap.log import Array, Log, Recording
 from rlco.gap.noise import measurement_noise
-from rlco.gap.problem import Candidate, Hypothesis, Layout
+from rlco.gap.problem import Candidate, Hypothesis, Layout, Problem
 from rlco.gap.task_channels import (
     Channels,
     channels_of,
@@ -59,7 +59,7 @@ class Segment:
     last: int
 
 
-class TaskSpaceProblem:
+class TaskSpaceProblem(Problem):
     """A `Problem` of a task's own actions and what its sensors and camera told.
 
     Args:
@@ -83,6 +83,8 @@ class TaskSpaceProblem:
         rlco.errors.DataError: the log holds no recordings; give one episode at least.
     """
 
+    has_outliers = True
+
     def __init__(
         self,
         task: str | Task,
@@ -101,7 +103,6 @@ class TaskSpaceProblem:
         self.plants = self._rollouts.plants
         self.model: mujoco.MjModel = self.plants.nominal.model
         self.spread_names: tuple[str, ...] = SPREAD
-        self.has_outliers = True
         self._period = 1.0 / self.task.control_frequency
         self._actions = [np.asarray(r.command, dtype=float) for r in log.recordings]
         told = [name for name in known_names(self.task) if has_column(log, name)]
@@ -137,10 +138,6 @@ class TaskSpaceProblem:
                 if self._shows(effect, target)
             ]
         return found
-
-    def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
-        """Return nothing: the model tells enough, see `Problem.usual_sizes`."""
-        return {}
 
     def residuals(
         self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None

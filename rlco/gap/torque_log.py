@@ -22,7 +22,7 @@ import numpy as np
 from rlco.gap.inverse_dynamics import inverse_dynamics
 from rlco.gap.log import Array, Log
 from rlco.gap.noise import measurement_noise
-from rlco.gap.problem import Candidate, Hypothesis, Layout
+from rlco.gap.problem import Candidate, Hypothesis, Layout, Problem
 from rlco.gap.slim import slim_down
 from rlco.gap.smooth_motion import Motion, joined, smoothed
 from rlco.gap.torque_spread import apply_torque_spread, torque_spread_names
@@ -49,7 +49,7 @@ _SIGN_SPEED = 0.01
 _TOGETHER = 0.8
 
 
-class TorqueLog:
+class TorqueLog(Problem):
     """A `Problem`: torques that were measured against those that the motion takes.
 
     Args:
@@ -92,7 +92,6 @@ class TorqueLog:
         self._dofs = np.array([dof_of(self.model, name) for name in log.joints])
         self._actuators = [actuator_of(self.model, name) for name in log.joints]
         self.spread_names = torque_spread_names(self.model)
-        self.has_outliers = False
         self.layout = self._layout()
         self.noise = self._noise() if noise is None else np.asarray(noise)
 
@@ -125,10 +124,6 @@ class TorqueLog:
             float(np.corrcoef(one, other)[0, 1]) if one.any() and other.any() else 0.0
             for one, other in zip(motion.torque.T, computed.T, strict=True)
         ]
-
-    def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
-        """Return nothing: the model tells enough, see `Problem.usual_sizes`."""
-        return {}
 
     def residuals(
         self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None

@@ -156,7 +156,7 @@ class NativeStepper:
             self.features,
         )
         look_range(which, self.copies.control, memory)
-        return self._scene(self.features, self.goals, self.instruction_id)
+        return self.scene_state()
 
     def step(
         self, actions: Array, steps: NDArray[np.int64] | None = None
@@ -200,7 +200,7 @@ class NativeStepper:
         lead = (count, horizon + 1)
         goals = np.broadcast_to(self.goals[:, None], (*lead, *self.goals.shape[1:]))
         ids = np.broadcast_to(self.instruction_id[:, None], lead)
-        return self._scene(out, goals, ids)
+        return scene_of(out, self.tracked.objects.size, goals, ids)
 
     def randomise(
         self,
@@ -222,7 +222,9 @@ class NativeStepper:
 
     def scene_state(self) -> SceneState:
         """Return the present state of all copies, leading axes (N,)."""
-        return self._scene(self.features, self.goals, self.instruction_id)
+        return scene_of(
+            self.features, self.tracked.objects.size, self.goals, self.instruction_id
+        )
 
     def reported_state(self) -> SceneState:
         """Return the same with robots where their encoders tell that they are."""
@@ -242,24 +244,32 @@ class NativeStepper:
             joint_position=factor * state.joint_position + offset,
         )
 
-    def _scene(
-        self, features: Array, goals: Array, ids: NDArray[np.int64]
-    ) -> SceneState:
-        lead = features.shape[:-1]
-        end = OBJECTS + 7 * self.tracked.objects.size
-        objects = features[..., OBJECTS:end].reshape(*lead, -1, 7)
-        return SceneState(
-            tool_position=features[..., :3],
-            tool_rotation=features[..., 3:12].reshape(*lead, 3, 3),
-            gripper_opening=features[..., 12] - features[..., 13],
-            joint_position=features[..., 14:21],
-            object_position=objects[..., :3],
-            object_quaternion=objects[..., 3:],
-            joint_opening=features[..., end:],
-            goal_position=goals[..., :3],
-            goal_quaternion=goals[..., 3:],
-            instruction_id=ids,
-        )
+
+def scene_of(
+    features: Array, objects: int, goals: Array, ids: NDArray[np.int64]
+) -> SceneState:
+    """Read what a native kernel wrote down of a scene.
+
+    Args:
+        features: (..., F), as `rlco.physics.native_kernels.read_features` writes them.
+        objects: How many free objects there are.
+        goals: Position and quaternion of what the episode places, (..., G, 7).
+        ids: The episode's instruction, (...,).
+    """
+    end = OBJECTS + 7 * objects
+    poses = features[..., OBJECTS:end].reshape(*features.shape[:-1], -1, 7)
+    return SceneState(
+        tool_position=features[..., :3],
+        tool_rotation=features[..., 3:12].reshape(*features.shape[:-1], 3, 3),
+        gripper_opening=features[..., 12] - features[..., 13],
+        joint_position=features[..., 14:21],
+        object_position=poses[..., :3],
+        object_quaternion=poses[..., 3:],
+        joint_opening=features[..., end:],
+        goal_position=goals[..., :3],
+        goal_quaternion=goals[..., 3:],
+        instruction_id=ids,
+    )
 
 
 def _tracked(source: Any) -> Tracked:

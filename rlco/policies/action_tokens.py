@@ -69,6 +69,7 @@ class ActionTokens(nn.Module):
             narrow = moved.is_floating_point() and moved.dtype.itemsize < 4
             return numbers.to(moved.device) if narrow else moved
 
+        # torch declares no types for this method.
         super()._apply(move, recurse)  # type: ignore[no-untyped-call]
         return self
 

@@ -21,12 +21,15 @@ class FlowModel(Protocol):
 
     Attributes:
         policy: LeRobot's own policy, unchanged.
+        model: its network, which both models call ``model`` and denoise by the same
+            calls.
         hidden_size: width of the expert's last layer.
         summary_size: width W of a prefix's summary.
         steps: denoising steps of the checkpoint's own sampling.
     """
 
     policy: Any
+    model: Any
     hidden_size: int
     summary_size: int
     steps: int
@@ -44,6 +47,14 @@ class FlowModel(Protocol):
             x: noisy actions with padded numbers, shape (B, H, width).
             time: 1 is noise, 0 is action, shape (B,).
         """
+        with captured_input(self.model.action_out_proj) as seen:
+            velocity = self.model.denoise_step(
+                prefix_pad_masks=prefix.mask,
+                past_key_values=prefix.cache(),
+                x_t=x,
+                timestep=time,
+            )
+        return velocity, seen[0]
 
     def prefix_modules(self) -> list[nn.Module]:
         """Return what ``prefix`` passes through."""

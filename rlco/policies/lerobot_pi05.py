@@ -12,11 +12,11 @@ from lerobot.policies.common.vla_utils import (
 from lerobot.utils.constants import OBS_LANGUAGE_ATTENTION_MASK, OBS_LANGUAGE_TOKENS
 from torch import nn
 
-from rlco.policies.lerobot_flow import Batch, captured_input, refuse
+from rlco.policies.lerobot_flow import Batch, FlowModel, refuse
 from rlco.policies.prefix_cache import Prefix
 
 
-class Pi05Model:
+class Pi05Model(FlowModel):
     """The halves of ``lerobot.policies.pi05.PI05Policy``.
 
     The state enters as text, so the prefix is images and text alone, and the expert
@@ -66,19 +66,6 @@ class Pi05Model:
             use_cache=True,
         )
         return Prefix.of(cache, mask, hidden)
-
-    def velocity(
-        self, prefix: Prefix, x: torch.Tensor, time: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Pass noisy actions through the expert, once."""
-        with captured_input(self.model.action_out_proj) as seen:
-            velocity = self.model.denoise_step(
-                prefix_pad_masks=prefix.mask,
-                past_key_values=prefix.cache(),
-                x_t=x,
-                timestep=time,
-            )
-        return velocity, seen[0]
 
     def prefix_modules(self) -> list[nn.Module]:
         """Return SigLIP, its projector and Gemma."""

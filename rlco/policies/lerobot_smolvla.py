@@ -9,11 +9,11 @@ from lerobot.policies.common.vla_utils import make_att_2d_masks
 from lerobot.utils.constants import OBS_LANGUAGE_ATTENTION_MASK, OBS_LANGUAGE_TOKENS
 from torch import nn
 
-from rlco.policies.lerobot_flow import Batch, captured_input, refuse
+from rlco.policies.lerobot_flow import Batch, FlowModel, refuse
 from rlco.policies.prefix_cache import Prefix
 
 
-class SmolVLAModel:
+class SmolVLAModel(FlowModel):
     """The halves of ``lerobot.policies.smolvla.SmolVLAPolicy``.
 
     The state is the prefix's last position, by way of a projection that LeRobot trains
@@ -65,19 +65,6 @@ class SmolVLAModel:
             use_cache=True,
         )
         return Prefix.of(cache, mask, hidden)
-
-    def velocity(
-        self, prefix: Prefix, x: torch.Tensor, time: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Pass noisy actions through the expert, once."""
-        with captured_input(self.model.action_out_proj) as seen:
-            velocity = self.model.denoise_step(
-                prefix_pad_masks=prefix.mask,
-                past_key_values=prefix.cache(),
-                x_t=x,
-                timestep=time,
-            )
-        return velocity, seen[0]
 
     def prefix_modules(self) -> list[nn.Module]:
         """Return SmolVLM and the projection of the state."""

@@ -82,7 +82,7 @@ def test_groups_must_fill_the_batch_and_be_groups() -> None:
     with pytest.raises(ConfigError, match="'gae' needs a critic"):
         RolloutCollector(make_env("push_cube"), None, advantage="gae")
     with pytest.raises(ConfigError, match="unknown advantage 'grpo'; known: gae, mc"):
-        RolloutCollector(make_env("push_cube"), None, advantage="grpo")  # type: ignore[arg-type]
+        RolloutCollector(make_env("push_cube"), None, advantage="grpo")
 
 
 def test_zero_success_under_a_sparse_reward_is_told() -> None:

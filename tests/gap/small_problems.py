@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from rlco.gap.log import Array, Log, Recording
-from rlco.gap.problem import Candidate, Hypothesis, Layout
+from rlco.gap.problem import Candidate, Hypothesis, Layout, Problem
 from rlco.physics.effects import EFFECTS, AppliedEffect
 
 ARM = """
@@ -45,13 +45,13 @@ NOISE = 4e-4
 PERIOD, SECONDS = 0.02, 8.0
 
 
-class Rolled:
+class Rolled(Problem):
     """A `Problem` that simulates each recording whole, in a loop of `mj_step`."""
 
     def __init__(self, xml: str, log: Log, channels: Sequence[str], unit: str) -> None:
         self.spec = mujoco.MjSpec.from_string(xml)
         self.model = self.spec.compile()
-        self.log, self.spread_names, self.has_outliers = log, (), False
+        self.log, self.spread_names = log, ()
         self.noise = np.full(len(channels), NOISE)
         self.every = round(PERIOD / self.model.opt.timestep)
         rows, count = [r.rows for r in log.recordings], len(channels)
@@ -73,10 +73,6 @@ class Rolled:
             assert change is not None, "only effects of the model are for this problem"
             change(spec, effect.target, effect.values)
         return spec.compile()
-
-    def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
-        """Return nothing: the model tells enough, see `Problem.usual_sizes`."""
-        return {}
 
     def residuals(
         self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None

@@ -3,20 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
-from hidden_arms import TWO_LINKS, record
+from hidden_arms import TWO_LINKS, Act, Hide, record
 
 from rlco.gap.arm_rollouts import ArmRollouts
+from rlco.gap.log import Log
 from rlco.gap.problem import Candidate, Hypothesis
 from rlco.physics.effects import AppliedEffect
 
 _NOISE = np.full(2, 4e-4)
 
 
-def _problem(log, **options):  # type: ignore[no-untyped-def]
+def _problem(log: Log, **options: Any) -> ArmRollouts:
     return ArmRollouts(mujoco.MjSpec.from_string(TWO_LINKS), log, _NOISE, **options)
 
 
@@ -54,7 +57,9 @@ def _drive_loss(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         (None, _drive_loss, ("drive_loss", "shoulder", {"loss": 0.5})),
     ],
 )
-def test_a_hidden_effect_of_the_true_size_leaves_the_noise(hide, act, effect) -> None:  # type: ignore[no-untyped-def]
+def test_a_hidden_effect_of_the_true_size_leaves_the_noise(
+    hide: Hide | None, act: Act | None, effect: tuple[str, str, dict[str, float]]
+) -> None:
     problem = _problem(record(hide, act))
     assert _rms(problem).max() > 3 * _NOISE[0]
     np.testing.assert_allclose(_rms(problem, AppliedEffect(*effect)), _NOISE, rtol=0.1)
@@ -86,8 +91,10 @@ def test_rows_between_two_physics_steps_are_interpolated() -> None:
 
 
 def test_a_simulation_that_diverges_is_infinite_and_says_nothing(
-    tmp_path, monkeypatch, capfd
-) -> None:  # type: ignore[no-untyped-def]
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
     monkeypatch.chdir(tmp_path)
     wild = AppliedEffect("armature", "elbow", {"armature": -0.02})
     rows = _problem(record(episodes=1)).residuals([Hypothesis((wild,)), Hypothesis()])

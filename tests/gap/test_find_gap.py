@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -17,7 +18,9 @@ from rlco.physics.effects import EFFECTS
 _NOISE = np.full(2, 4e-4)
 
 
-def _verdict(hide: Hide | None = None, act: Act | None = None, **options) -> Verdict:  # type: ignore[no-untyped-def]
+def _verdict(
+    hide: Hide | None = None, act: Act | None = None, **options: Any
+) -> Verdict:
     log = record(hide, act)
     return find_gap(
         ArmRollouts(mujoco.MjSpec.from_string(TWO_LINKS), log, _NOISE), **options

@@ -129,7 +129,7 @@ class Read(HTMLParser):
 def html(problem: Arm, verdict: Verdict, **more: object) -> str:
     labels = label_regimes(problem)
     before = where(problem, labels=labels)
-    return page(Page(problem, verdict, before, labels, **more))  # type: ignore[arg-type]
+    return page(Page(problem, verdict, before, labels, **more))
 
 
 def test_the_page_needs_nothing_but_itself(problem: Arm) -> None:

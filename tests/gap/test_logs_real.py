@@ -14,7 +14,7 @@ from rlco.gap.model import load_model
 CASES = sorted((SHARED / "gap_cases").glob("pub_*"))
 REAL = SHARED / "real"
 pytestmark = pytest.mark.skipif(
-    not REAL.is_dir(), reason="the shared measured data are not here"
+    not (REAL.is_dir() and CASES), reason=f"{SHARED} is not there, or not whole"
 )
 PIN = """<mujoco><worldbody><body name="arm"><joint name="hinge" axis="0 1 0"/>
 <inertial pos="0 0 -.1" mass=".49" diaginertia="1e-4 1e-4 1e-4"/></body></worldbody>

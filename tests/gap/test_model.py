@@ -87,7 +87,7 @@ def test_the_motion_is_the_same(tmp_path: Path, name: str) -> None:
     check_same_motion(file)
 
 
-@pytest.mark.skipif(not CASES, reason="the shared cases are not here")
+@pytest.mark.skipif(not CASES, reason=f"{SHARED / 'gap_cases'} is not there")
 @pytest.mark.parametrize("index", range(0, len(CASES), 3))
 def test_the_motion_of_the_cases_is_the_same(index: int) -> None:
     check_same_motion(CASES[index] / "model.xml")

@@ -230,7 +230,8 @@ def test_a_motion_is_saved_as_a_data_set_that_rlco_reads(tmp_path: Path) -> None
 def test_lerobots_own_reader_gives_the_frames_that_it_would_replay(
     tmp_path: Path,
 ) -> None:
-    datasets = pytest.importorskip("lerobot.datasets")
+    from lerobot import datasets  # takes seconds
+
     motion, row = saved(tmp_path)
     # As lerobot-replay opens it, and reads each row's action.
     dataset = datasets.LeRobotDataset(

@@ -58,7 +58,7 @@ class _Solved(TaskEnv):
     solved_at: tuple[int, ...] = (2,)
 
     def _info(self, state: object) -> dict[str, object]:
-        out = super()._info(state)  # type: ignore[arg-type]
+        out = super()._info(state)
         return {**out, "is_success": self._elapsed in self.solved_at}
 
 

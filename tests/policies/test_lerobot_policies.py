@@ -9,7 +9,7 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import ClipPPOLoss
-from vla_cases import KINDS, actor, rows, still
+from vla_cases import KINDS, actor, rows, slopes, still
 
 from rlco.errors import ConfigError, DataError
 from rlco.losses import CoTrainingLoss, ImitationLoss, log_probs
@@ -138,24 +138,7 @@ def test_gradients_are_those_of_finite_differences(kind: str, trained: Any) -> N
     policy = actor(kind, trained=trained, denoise_reduction="sum")
     td = rollout(policy, 2)
     td["vla_action", "sample"] = td["vla_action", "sample"] + 0.05
-    parameters = [p for p in policy.parameters() if p.requires_grad]
-    value = log_prob(policy, td).sum()
-    gradients = torch.autograd.grad(value, parameters, materialize_grads=True)
-    torch.manual_seed(3)
-    along = [torch.randn_like(p) * p.abs().mean() for p in parameters]
-    slope = sum(float((g * d).sum()) for g, d in zip(gradients, along, strict=True))
-
-    def moved(step: float) -> float:
-        with torch.no_grad():
-            for parameter, direction in zip(parameters, along, strict=True):
-                parameter.add_(direction, alpha=step)
-            out = float(log_prob(policy, td).double().sum())
-            for parameter, direction in zip(parameters, along, strict=True):
-                parameter.add_(direction, alpha=-step)
-        return out
-
-    step = 1e-3
-    measured = (moved(step) - moved(-step)) / (2 * step)
+    slope, measured = slopes(policy, lambda: log_prob(policy, td).double().sum())
     assert slope == pytest.approx(measured, rel=0.02)
 
 

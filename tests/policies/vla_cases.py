@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -67,3 +68,28 @@ def rows(count: int, *, chunk: int = 8, action_size: int = 7) -> TensorDictBase:
         },
         [count],
     )
+
+
+def slopes(policy: Any, compute: Callable[[], torch.Tensor]) -> tuple[float, float]:
+    """Return a value's slope by autograd and by differences, some way through weights.
+
+    Along one random direction of all weights that are trained: a model of millions of
+    them has no time for every one.
+    """
+    parameters = [p for p in policy.parameters() if p.requires_grad]
+    gradients = torch.autograd.grad(compute(), parameters, materialize_grads=True)
+    torch.manual_seed(3)
+    along = [torch.randn_like(p) * p.abs().mean() for p in parameters]
+    slope = sum(float((g * d).sum()) for g, d in zip(gradients, along, strict=True))
+
+    def moved(step: float) -> float:
+        with torch.no_grad():
+            for parameter, direction in zip(parameters, along, strict=True):
+                parameter.add_(direction, alpha=step)
+            out = float(compute())
+            for parameter, direction in zip(parameters, along, strict=True):
+                parameter.add_(direction, alpha=-step)
+        return out
+
+    step = 1e-3
+    return slope, (moved(step) - moved(-step)) / (2 * step)
