@@ -80,7 +80,7 @@ def candidates_of(effects: Sequence[AppliedEffect]) -> tuple[Candidate, ...]:
     return tuple(Candidate(effect.name, effect.target) for effect in effects)
 
 
-def _size(parameter: Parameter) -> float:
+def usual_size(parameter: Parameter) -> float:
     """Return how large a number usually is; limits may have any bound far away."""
     away = parameter.neutral if parameter.scales else 0.0
     usual = max(abs(start - away) for start in parameter.starts)
@@ -96,7 +96,7 @@ class _Running:
         known = [p for c in self.candidates for p in library[c]]
         self.low = np.array([p.low for p in known])
         self.high = np.array([p.high for p in known])
-        self.size = np.array([_size(p) for p in known])
+        self.size = np.array([usual_size(p) for p in known])
         self.resolution = np.array([p.resolution for p in known])
         values = [v for effect in effects for v in effect.parameters.values()]
         self.values = np.clip(np.array(values, dtype=float), self.low, self.high)

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from rlco.gap.comparison import block_sums
-from rlco.gap.fit import Fit, candidates_of, fit, linearise
+from rlco.gap.fit import Fit, candidates_of, fit, linearise, usual_size
 from rlco.gap.log import Array
 from rlco.gap.probe import Probe, explained, probe, start_of
 from rlco.gap.problem import Candidate
@@ -87,7 +87,8 @@ def at_bounds(search: Search, best: Scored) -> bool:
     for effect in best.effects:
         known = search.library[Candidate(effect.name, effect.target)]
         for parameter, value in zip(known, effect.values, strict=True):
-            near = 1e-3 * (parameter.high - parameter.low)
+            # A limit of torque may be anything up to a hundred times what is there.
+            near = 1e-3 * min(parameter.high - parameter.low, usual_size(parameter))
             away = abs(value - parameter.neutral) > near
             low, high = value - parameter.low < near, parameter.high - value < near
             if away and (low or high):

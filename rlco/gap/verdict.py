@@ -40,20 +40,31 @@ def conclude(search: Search, seconds: float, complete: bool) -> Verdict:
     named = kind in ("named", "ambiguous")
     found = best if named else none
     effects = _findings(search, best, rivals) if named else ()
+    gap = _gap(search, found)
     return Verdict(
         complete=complete,
         verdict=kind,
         effects=effects,
-        gap=_gap(search, found),
+        gap=gap,
         unexplained=describe_left(search.problem, found.effects, left if named else 1.0)
         if kind not in ("no_gap", "not_identifiable") and found.error > NEAR_FLOOR
-        else {"share": 0.0, "target": None, "note": "nothing beyond the noise"},
+        else {"share": 0.0, "target": None, "note": _nothing(search, gap)},
         closest=() if named else _closest(search, none),
         seconds=seconds,
         hypothesis=Hypothesis(found.effects),
         train=search.train,
         heldout=search.heldout,
         trail=tuple(search.trail),
+    )
+
+
+def _nothing(search: Search, gap: Gap) -> str:
+    """Say why what is left is no gap: noise, or a small spread of all numbers."""
+    if gap.after_heldout < NEAR_FLOOR * gap.noise_floor:
+        return "nothing beyond the noise"
+    return (
+        "nothing beyond what the noise and numbers that are about "
+        f"{np.max(search.prior, initial=0.0):.0%} off would leave"
     )
 
 
