@@ -83,7 +83,9 @@ def _kind(
     rivals: list[tuple[tuple[Candidate, ...], dict[str, float]]],
 ) -> str:
     if not best.effects:
-        if none.error > NEAR_FLOOR:
+        # A gap of the fitted recordings alone weighs on the others by the spread.
+        shows = _heldout(search, ()) > NEAR_FLOOR
+        if none.error > NEAR_FLOOR and shows:
             return "unexplained"
         if not search.visible:
             return "not_identifiable"
@@ -100,14 +102,18 @@ def _kind(
 
 def _helps(search: Search, best: Scored) -> bool:
     """Return whether the effects help without any spread of the other numbers."""
-    rows = search.residuals([(), best.effects], search.heldout)
-    scale = search.problem.noise[search.problem.layout.channel]
-    held = np.isin(search.problem.layout.recording, search.heldout)
-    scaled = rows / scale[held]
+    return _heldout(search, best.effects) < (1.0 - BETTER) * _heldout(search, ())
+
+
+def _heldout(search: Search, effects: tuple[AppliedEffect, ...]) -> float:
+    """Root mean square of the held-out residual, in units of the noise."""
+    layout = search.problem.layout
+    held = np.isin(layout.recording, search.heldout)
+    (rows,) = search.residuals([effects], search.heldout)
+    scaled = rows / search.problem.noise[layout.channel][held]
     if search.outliers is not None:
         scaled = search.outliers.part(held).bound(scaled)
-    before, after = np.mean(scaled**2, axis=1)
-    return bool(np.sqrt(after) < (1.0 - BETTER) * np.sqrt(before))
+    return float(np.sqrt(np.mean(scaled**2)))
 
 
 def find_rivals(

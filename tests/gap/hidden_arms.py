@@ -49,6 +49,7 @@ def record(
     episodes: int = 6,
     noise: float = 4e-4,
     xml: str = TWO_LINKS,
+    motion: Callable[[int], NDArray[np.float64]] = commands,
 ) -> Log:
     """Record an arm that was changed by `hide`, and by `act` before each step."""
     recordings = []
@@ -58,7 +59,7 @@ def record(
             hide(model)
             mujoco.mj_setConst(model, mujoco.MjData(model))
         data = mujoco.MjData(model)
-        sent = commands(episode)
+        sent = motion(episode)
         every = round(1 / FPS / model.opt.timestep)
         position, velocity = np.empty_like(sent), np.empty_like(sent)
         for frame, goal in enumerate(sent):

@@ -1,0 +1,84 @@
+"""The verdicts that are no names: what data cannot tell apart, show or confirm."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+from hidden_arms import FPS, TWO_LINKS, Hide, record
+from numpy.typing import NDArray
+
+from rlco.gap.arm_rollouts import ArmRollouts
+from rlco.gap.find_gap import find_gap
+from rlco.gap.log import Log
+from rlco.gap.problem import Verdict
+
+_NOISE = np.full(2, 4e-4)
+# Two turntables: neither feels the other, or its weight.
+_TURNTABLES = """
+<mujoco><compiler angle="radian"/>
+<option timestep="0.004" integrator="implicitfast"/><worldbody>
+<body name="left"><joint name="shoulder" axis="0 0 1" damping="0.2" armature="0.01"/>
+<inertial pos="0 0 0" mass="0.5" diaginertia="0.002 0.002 0.002"/></body>
+<body name="right"><joint name="elbow" axis="0 0 1" damping="0.1" armature="0.01"/>
+<inertial pos="0 0 0" mass="0.3" diaginertia="0.001 0.001 0.001"/></body>
+</worldbody><actuator>
+<position name="shoulder" joint="shoulder" kp="40" kv="2"/>
+<position name="elbow" joint="elbow" kp="20" kv="1"/></actuator></mujoco>
+"""
+_WEIGHTLESS = TWO_LINKS.replace("<option ", '<option gravity="0 0 0" ')
+
+
+def _verdict(log: Log, xml: str = TWO_LINKS) -> Verdict:
+    return find_gap(ArmRollouts(mujoco.MjSpec.from_string(xml), log, _NOISE))
+
+
+def _slow(seed: int) -> NDArray[np.float64]:
+    """One slow wave of each joint, as of somebody who shows a task."""
+    time = np.arange(4 * FPS) / FPS
+    random = np.random.default_rng(seed)
+    turns = random.uniform(0.1, 0.15, 2) * time[:, None]
+    return 0.2 * (1.0 - np.cos(2 * np.pi * turns))  # begins at rest where the arm is
+
+
+def _at_rest(seed: int) -> NDArray[np.float64]:
+    return np.zeros((4 * FPS, 2))
+
+
+def _viscous(model: mujoco.MjModel) -> None:
+    model.dof_damping[1] += 0.3
+
+
+def _dry(model: mujoco.MjModel) -> None:
+    model.dof_frictionloss[1] = 0.1
+
+
+def _only_in(training: Hide) -> Log:
+    """Something hidden in the recordings that are fitted, nothing in the others."""
+    hidden, plain = record(training), record()
+    rows = [
+        (plain if index % 3 == 2 else hidden).recordings[index]
+        for index in range(len(plain.recordings))
+    ]
+    return Log(tuple(rows), plain.joints, plain.actuators)
+
+
+def test_a_slow_motion_leaves_a_class_that_holds_what_was_hidden() -> None:
+    log = record(_viscous, motion=_slow, xml=_TURNTABLES)
+    verdict = _verdict(log, _TURNTABLES)
+    assert verdict.verdict == "ambiguous"
+    (finding,) = verdict.effects
+    members = {(finding.name, finding.target)}
+    members |= {(rival.name, rival.target) for rival in finding.rivals}
+    assert ("viscous_damping", "elbow") in members
+    assert len(members) > 1
+
+
+def test_a_robot_at_rest_shows_nothing_and_is_said_to_show_nothing() -> None:
+    verdict = _verdict(record(_viscous, motion=_at_rest, xml=_WEIGHTLESS), _WEIGHTLESS)
+    assert verdict.verdict == "not_identifiable"
+
+
+def test_what_only_the_fitted_recordings_show_is_no_improvement() -> None:
+    verdict = _verdict(_only_in(_dry))
+    assert verdict.verdict == "no_improvement"
+    assert not verdict.effects
