@@ -158,6 +158,11 @@ class _Session:
             for i, u in enumerate(self.sent)
         ]
 
+    def play(self, hidden: Sequence[Hidden], sent: Array, fps: float) -> Recorded:
+        """Send other commands to the robot that was recorded."""
+        plant = make_plant(self.arm.xml, hidden, self.motion.jitter, self.seed)
+        return record(plant, sent, fps, np.random.default_rng(self.seed + 1))
+
     def floor(self, nominal: list[Recorded]) -> Array:
         """Return what differs anyhow: noise, rounding, scatter, (joints,) [rad]."""
         noise = self.motion.noise**2 + self.motion.quantum**2 / 12
@@ -165,6 +170,11 @@ class _Session:
         if self.motion.jitter:
             scatter = _difference(self.record((), self.motion.jitter), nominal)
         return np.asarray(np.sqrt(noise + scatter**2))
+
+
+def in_session(arm: str, motion: str, seed: int) -> _Session:
+    """Return the robot of a case once more, which waits for commands."""
+    return _Session(make_arm(arm), MOTIONS[motion], [], seed)
 
 
 def _difference(a: Sequence[Recorded], b: Sequence[Recorded]) -> Array:

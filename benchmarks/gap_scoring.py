@@ -167,8 +167,8 @@ def _groups(rows: Sequence[Answered]) -> str:
     for group in sorted({row.truth["group"] for row in rows}):
         inside = [row for row in rows if row.truth["group"] == group]
         cells = [group, str(len(inside))]
-        cells += [_rate([row.score.exact for row in inside])]
-        cells += [_rate([row.score.fine for row in inside])]
+        cells += [share_of([row.score.exact for row in inside])]
+        cells += [share_of([row.score.fine for row in inside])]
         cells += [str(sum(row.score.wrong for row in inside))]
         for clock in ("seconds", "cpu"):
             cells += [_middle([row.result[clock] for row in inside], "{:.0f}")]
@@ -222,7 +222,7 @@ def _details(rows: Sequence[Answered]) -> str:
         return [row for row in rows if row.truth["group"] in groups]
 
     def rate(groups: Sequence[str], test: Callable[[Score], bool]) -> str:
-        return _rate([test(row.score) for row in of(*groups)])
+        return share_of([test(row.score) for row in of(*groups)])
 
     singles = of("single")
     hard = ("single_hard", "pair_hard", "triple_hard")
@@ -235,7 +235,7 @@ def _details(rows: Sequence[Answered]) -> str:
     for severity, wanted in ((0.5, "85 %"), (1.0, "95 %"), (2.0, "95 %")):
         exact = [r.score.exact for r in singles if r.truth["severity"] == severity]
         lines.append(
-            f"| singles named, {severity} x typical | {_rate(exact)} | {wanted} |"
+            f"| singles named, {severity} x typical | {share_of(exact)} | {wanted} |"
         )
     facts = [
         ("single: right joint", rate(["single"], lambda s: s.place), "97 %"),
@@ -272,7 +272,7 @@ def _details(rows: Sequence[Answered]) -> str:
             rate(["leave_out"], lambda s: s.confident_wrong),
             "5 %",
         ),
-        ("intervals (90 %) that hold the value", _rate(within), "85-95 %"),
+        ("intervals (90 %) that hold the value", share_of(within), "85-95 %"),
     ]
     lines += [f"| {what} | {value} | {wanted} |" for what, value, wanted in facts]
     return "\n".join(lines)
@@ -297,7 +297,7 @@ def _sysid(rows: Sequence[Answered]) -> str:
         "|---|---|---|",
         "| ours / mujoco.sysid's given the right effects, median | "
         f"{_middle(right, '{:.3f}')} | 1.05 |",
-        f"| cases within 5 % of it | {_rate(good)} | |",
+        f"| cases within 5 % of it | {share_of(good)} | |",
         "| mujoco.sysid's with the usual five / ours, median | "
         f"{_middle(usual, '{:.1f}')} | 3 |",
         "| seconds of ours, that finds out what is missing, median | "
@@ -310,7 +310,8 @@ def _sysid(rows: Sequence[Answered]) -> str:
     return "\n".join(lines)
 
 
-def _rate(tests: Sequence[bool]) -> str:
+def share_of(tests: Sequence[bool]) -> str:
+    """Return a share in words, with its Wilson interval."""
     if not tests:
         return "-"
     rate, low, high = wilson_interval(sum(tests), len(tests))

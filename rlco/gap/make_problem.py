@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +10,13 @@ import numpy as np
 from rlco.errors import DataError
 from rlco.gap.arm_rollouts import ArmRollouts
 from rlco.gap.log import Log, Recording
+from rlco.gap.logs.matching import few
+from rlco.gap.logs.names import match_names
 from rlco.gap.model import LoadedModel
 from rlco.gap.noise import position_noise
 from rlco.gap.problem import Hypothesis, Problem
 from rlco.gap.task_problem import holds_actions, make_task_problem
+from rlco.physics.observation import ACTION_NAMES
 from rlco.physics.task import TASK_NAMES
 
 FEWEST = 6  # recordings, or parts of them, to fit and to hold out
@@ -33,12 +37,16 @@ def make_problem(loaded: LoadedModel, log: Log, *, threads: int = 2) -> Problem:
         DataError: If the log holds nothing that can be compared.
     """
     first = log.recordings[0]
-    if loaded.task in TASK_NAMES and holds_actions(log):
-        return make_task_problem(loaded.task, log, threads=threads)
+    task = loaded.task if loaded.task in TASK_NAMES else None
+    unknown = [name for name in log.actuators if name not in loaded.actuators]
+    if task and holds_actions(log) and not _name_joints(log, loaded):
+        return make_task_problem(task, log, threads=threads)
     if first.pose is not None:
         from rlco.gap.free_body import FreeBody
 
         return FreeBody(loaded.spec, log, threads=threads)
+    if first.command is not None and unknown:
+        raise DataError(_other_actions(log, loaded, ACTION_NAMES if task else ()))
     if first.command is not None and first.position is not None and log.actuators:
         return _commanded(loaded, in_parts(log), threads)
     if first.torque is not None and first.position is not None:
@@ -48,6 +56,28 @@ def make_problem(loaded: LoadedModel, log: Log, *, threads: int = 2) -> Problem:
     raise DataError(
         "the log holds neither commands and positions, nor torques and positions, nor "
         "a free body's pose: record one of these."
+    )
+
+
+def _name_joints(log: Log, loaded: LoadedModel) -> bool:
+    found = match_names(log.actuators, loaded.joints)
+    return bool(log.actuators) and len(found) == len(log.actuators)
+
+
+def _other_actions(log: Log, loaded: LoadedModel, own: Sequence[str]) -> str:
+    """Say that a log's actions are nothing that this model can be sent."""
+    joints = "commands of joints, " if _name_joints(log, loaded) else ""
+    sent = f"the log's {len(log.actuators)} actions ({few(log.actuators)}) are {joints}"
+    theirs = f"{len(loaded.actuators)} actuators ({few(loaded.actuators, 3) or 'none'})"
+    if not own:
+        return (
+            f"{sent}not those of model {loaded.name!r}, which has {theirs}; give, as "
+            "model=, an MJCF file with a position servo for each of them."
+        )
+    return (
+        f"{sent}neither the {len(own)} actions of task {loaded.task!r} ({few(own)}) "
+        f"nor those of its model's {theirs}; give a log of the task's actions, or, as "
+        "model=, an MJCF file with a position servo for each of the log's."
     )
 
 

@@ -105,9 +105,14 @@ def mended_xml(
 
 
 def _spec(loaded: LoadedModel) -> mujoco.MjSpec:
-    if loaded.path is not None:
-        return mujoco.MjSpec.from_file(str(loaded.path))
-    return mujoco.MjSpec.from_string(loaded.source)
+    if loaded.path is None:
+        return mujoco.MjSpec.from_string(loaded.source)
+    spec = mujoco.MjSpec.from_file(str(loaded.path))
+    if loaded.path.suffix.lower() == ".urdf":
+        # MuJoCo fuses a URDF's fixed links, and with turned inertias misplaces their
+        # centre of mass (its pull request 3250): the mended model keeps them apart.
+        spec.compiler.fusestatic = False
+    return spec
 
 
 def _name_all_like(spec: mujoco.MjSpec, slim: mujoco.MjSpec) -> None:

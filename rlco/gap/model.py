@@ -7,8 +7,8 @@ from pathlib import Path
 
 import mujoco
 
-from rlco.errors import RlcoError
-from rlco.gap.slim import slim_down
+from rlco.errors import RlcoError, UnknownNameError
+from rlco.gap.slim import compile_whole, slim_down, slim_whole
 from rlco.physics.effects import targets
 
 #: Before the name of a robosuite task, where a file's path is expected.
@@ -74,18 +74,19 @@ def load_model(model: str | Path) -> LoadedModel:
         )
     try:
         spec = mujoco.MjSpec.from_file(str(path))
-        slim = slim_down(spec)
-        return LoadedModel(
-            name=_name(spec, path.stem),
-            spec=slim,
-            model=slim.copy().compile(),
-            source=path.read_text(),
-            path=path,
-        )
+        whole = compile_whole(spec)
     except ValueError as error:
         raise RlcoError(
             f"model {str(path)!r} does not compile; MuJoCo says: {_on_one_line(error)}"
         ) from None
+    slim = slim_whole(whole)
+    return LoadedModel(
+        name=_name(spec, path.stem),
+        spec=slim,
+        model=slim.copy().compile(),
+        source=path.read_text(),
+        path=path,
+    )
 
 
 def without_contact(loaded: LoadedModel) -> LoadedModel:
@@ -109,11 +110,16 @@ def without_contact(loaded: LoadedModel) -> LoadedModel:
 
 def _load_task(name: str) -> LoadedModel:
     # robosuite takes seconds to import, which a model of one's own need not wait for.
+    from rlco.physics.quiet_robosuite import robosuite
     from rlco.physics.robosuite_tasks import make_plain
-    from rlco.physics.tabletop import make_robosuite
+    from rlco.physics.tabletop import Tabletop, make_robosuite
     from rlco.physics.task import TASK_NAMES
 
     task = name.removeprefix(PREFIX)
+    # The class of rlco's own tasks registers itself beside robosuite's.
+    theirs = sorted(set(robosuite.ALL_ENVIRONMENTS) - {Tabletop.__name__})
+    if task not in (*TASK_NAMES, *theirs):
+        raise UnknownNameError("task", task, (*TASK_NAMES, *theirs))
     env = make_robosuite(task) if task in TASK_NAMES else make_plain(task)
     source = env.edit_model_xml(env.model.get_xml())
     slim = slim_down(mujoco.MjSpec.from_string(source))

@@ -6,6 +6,8 @@ import numpy as np
 
 from rlco.gap.problem import Gap, Hypothesis, Problem, Verdict
 
+NOTE = "Nothing was searched: it was ended before any effect was fitted."
+
 
 def nothing_yet(problem: Problem) -> Verdict:
     """Return a verdict that names nothing: the disagreement as it is."""
@@ -20,7 +22,7 @@ def nothing_yet(problem: Problem) -> Verdict:
         verdict="unexplained",
         effects=(),
         gap=Gap(unit, size, size, size, size, floor),
-        unexplained={"share": 1.0, "target": None, "note": "Nothing was tried yet."},
+        unexplained={"share": 1.0, "target": None, "note": NOTE},
         closest=(),
         seconds=0.0,
         hypothesis=Hypothesis(),

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 import mujoco
 
+from rlco.gap.nothing_yet import NOTE
 from rlco.gap.problem import Candidate, Finding, Value, Verdict
 from rlco.gap.where import Where
 from rlco.physics.effects import EFFECTS
@@ -33,7 +34,6 @@ def report(
     before = _sizes(gap.before_train, gap.before_heldout)
     after = _sizes(gap.after_train, gap.after_heldout)
     closest = [] if verdict.effects else verdict.closest
-    unexplained = {"share": 0.0, "target": None, "note": ""}
     return {
         "complete": verdict.complete,
         "verdict": verdict.verdict,
@@ -48,14 +48,21 @@ def report(
             {"target": cell.target, "share": cell.share, "regime": cell.regime}
             for cell in where.telling[:_CELLS]
         ],
-        "unexplained": {
-            key: verdict.unexplained.get(key, absent)
-            for key, absent in unexplained.items()
-        },
+        "unexplained": _unexplained(verdict),
         "closest": [_candidate(one) | {"share": share} for one, share in closest],
         "record_next": [dict(motion) for motion in record_next],
         "seconds": verdict.seconds,
     }
+
+
+def _unexplained(verdict: Verdict) -> dict[str, object]:
+    absent: dict[str, object] = {"share": 0.0, "target": None, "note": ""}
+    told = {key: verdict.unexplained.get(key, value) for key, value in absent.items()}
+    begun = verdict.effects or verdict.closest or verdict.trail
+    if not verdict.complete and not begun and told["note"] != NOTE:
+        # Else a share of 1 would read as if the whole library had been of no help.
+        told["note"] = f"{NOTE} {told['note']}".rstrip()
+    return told
 
 
 def _sizes(train: float, heldout: float) -> dict[str, float | None]:

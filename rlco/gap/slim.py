@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import mujoco
 import numpy as np
@@ -12,6 +13,38 @@ Mask = NDArray[np.bool_]
 _WRAPS_GEOM = (mujoco.mjtWrap.mjWRAP_SPHERE, mujoco.mjtWrap.mjWRAP_CYLINDER)
 
 
+@dataclass(frozen=True)
+class Whole:
+    """A spec and what it compiles to, element for element.
+
+    Attributes:
+        spec: The spec, not compiled: only such a one forgets materials.
+        compiled: A copy that was, whose elements have their numbers.
+        model: What it compiled to.
+    """
+
+    spec: mujoco.MjSpec
+    compiled: mujoco.MjSpec
+    model: mujoco.MjModel
+
+
+def compile_whole(spec: mujoco.MjSpec) -> Whole:
+    """Compile a copy of a spec of which nothing is fused or discarded.
+
+    Where a model asks for it, as every URDF does, links on fixed joints become one
+    with their parents and geoms that are only shown go; either leaves elements without
+    their compiled counterpart, and MuJoCo 3.9 misplaces the centre of mass of what it
+    fuses where a frame of inertia is turned (its pull request 3250).
+
+    Raises:
+        ValueError: MuJoCo's, where the spec does not compile.
+    """
+    whole = spec.copy()
+    whole.compiler.fusestatic = whole.compiler.discardvisual = False
+    compiled = whole.copy()
+    return Whole(whole, compiled, compiled.compile())
+
+
 def slim_down(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     """Return a copy of a spec without what changes no motion.
 
@@ -19,7 +52,7 @@ def slim_down(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     that can touch nothing, sensors, skins, and meshes, height fields, textures and
     materials that nothing else uses. Joints, actuators and bodies without a name get
     one, since effects are told by names: ``joint1``, ``body1``; an actuator that of
-    its joint.
+    its joint. Links on fixed joints stay links of their own.
 
     Raises:
         ValueError: MuJoCo's, where the spec does not compile.
@@ -32,9 +65,12 @@ def slim_down(spec: mujoco.MjSpec) -> mujoco.MjSpec:
         >>> len(slim.geoms), slim.joints[0].name, round(slim.bodies[1].mass, 3)
         (0, 'joint1', 4.189)
     """
-    # Numbers are known of what was compiled, and only what was not forgets materials.
-    slim, compiled = spec.copy(), spec.copy()
-    model = compiled.compile()
+    return slim_whole(compile_whole(spec))
+
+
+def slim_whole(whole: Whole) -> mujoco.MjSpec:
+    """Return what `slim_down` does, of a spec that is compiled already."""
+    slim, compiled, model = whole.spec.copy(), whole.compiled, whole.model
     aligned = _aligned_bodies(compiled)
     needed = _touching(model) | _referred(model) | _held(compiled, model)
     needed |= np.isin(model.geom_bodyid, aligned)

@@ -165,10 +165,22 @@ def _decide(
     reach = float(np.abs(position).max())
     # A log of degrees in which no joint is at more than seven is hardly one.
     shown = reach > _LEAST_TURN and beyond[0] and not beyond[1]
+    # A wheel may turn on and on; more than one joint of an arm does not.
+    turns = ~columns.turning[columns.joints]
+    turns &= np.abs(position).max(axis=0) > _LEAST_TURN
+    fast = turns.any() and _top_speed(recordings, columns) > _TOO_FAST
+    spun = not any(beyond) and (turns.sum() >= 2 or fast)
     if asked == "radians" and shown:
         raise DataError(
             f"angles reach {reach:.0f}, far outside the model's joint ranges as "
             "radians and inside them as degrees; give angles=degrees, or leave it out."
+        )
+    # Where the model's range has room for it, a joint may turn as far as it is told.
+    if asked == "radians" and spun and not (high[turns] < np.inf).all():
+        raise DataError(
+            f"angles reach {reach:.0f}, further or faster than an arm's joints turn in "
+            "radians; give angles=degrees, or leave it out, or give joints that do "
+            "turn so a range in the model."
         )
     if asked == "degrees" and beyond[1] and not beyond[0]:
         raise DataError(
@@ -178,19 +190,12 @@ def _decide(
         )
     if asked is not None:
         return asked
-    if beyond[0] or beyond[1]:
-        return "degrees" if shown else "radians"
-    # A wheel may turn on and on; more than one joint of an arm does not.
-    fixed = ~columns.turning[columns.joints]
-    turns = int((np.abs(position).max(axis=0)[fixed] > _LEAST_TURN).sum())
-    if turns >= 2 or (turns and _top_speed(recordings, columns) > _TOO_FAST):
-        return "degrees"
-    if turns:
+    if turns.any() and not any(beyond) and not spun:
         raise DataError(
             f"angles reach {reach:.1f} and may be degrees or radians; give "
             "angles=degrees or angles=radians."
         )
-    return "radians"
+    return "degrees" if shown or spun else "radians"
 
 
 def _outside(position: Array, low: Array, high: Array) -> bool:

@@ -85,29 +85,31 @@ def write_lerobot(
     features: Mapping[str, tuple[Sequence[str] | None, Sequence[Array]]],
     fps: int = 50,
     listed: int | None = None,
+    version: str = "v2.1",
 ) -> Path:
-    """Write a v2.1 folder: ``{feature: (names, one array (T, n) an episode)}``."""
-    episodes = len(next(iter(features.values()))[1])
+    """Write a folder: ``{feature: (names, one array (T, n) an episode)}``.
+
+    Each episode has a file of its own, in v3, too, so that some can be lacking.
+    """
     lengths = [len(part) for part in next(iter(features.values()))[1]]
+    total = listed or len(lengths)
+    data = folder / "data" / "chunk-000"
     (folder / "meta").mkdir(parents=True)
-    (folder / "data" / "chunk-000").mkdir(parents=True)
+    data.mkdir(parents=True)
     told = {
         key: {"dtype": "float32", "shape": [parts[0].shape[1]], "names": names}
         for key, (names, parts) in features.items()
     }
     told["timestamp"] = {"dtype": "float32", "shape": [1], "names": None}
-    total = listed or episodes
-    info = {"codebase_version": "v2.1", "fps": fps, "features": told}
+    info = {"codebase_version": version, "fps": fps, "features": told}
     info |= {"total_episodes": total}
     (folder / "meta" / "info.json").write_text(json.dumps(info))
     rows = [
-        {"episode_index": i, "length": lengths[min(i, episodes - 1)]}
+        {"episode_index": i, "length": lengths[min(i, len(lengths) - 1)]}
         for i in range(total)
     ]
-    text = "\n".join(json.dumps(row) for row in rows)
-    (folder / "meta" / "episodes.jsonl").write_text(text)
-    task = {"task_index": 0, "task": "move"}
-    (folder / "meta" / "tasks.jsonl").write_text(json.dumps(task))
+    _write_lists(folder / "meta", rows, version)
+    stem = "episode_{:06d}" if version == "v2.1" else "file-{:03d}"
     for index, length in enumerate(lengths):
         table = {
             key: pa.array(parts[index].astype(np.float32).tolist())
@@ -116,6 +118,23 @@ def write_lerobot(
         table["timestamp"] = pa.array((np.arange(length) / fps).astype(np.float32))
         table["frame_index"] = pa.array(np.arange(length))
         table["episode_index"] = pa.array(np.full(length, index))
-        file = folder / "data" / "chunk-000" / f"episode_{index:06d}.parquet"
-        pq.write_table(pa.table(table), file)
+        pq.write_table(pa.table(table), data / f"{stem.format(index)}.parquet")
     return folder
+
+
+def _write_lists(meta: Path, rows: list[dict[str, int]], version: str) -> None:
+    """Write the lists of episodes and tasks, which the versions keep differently."""
+    task = {"task_index": 0, "task": "move"}
+    if version == "v2.1":
+        text = "\n".join(json.dumps(row) for row in rows)
+        (meta / "episodes.jsonl").write_text(text)
+        (meta / "tasks.jsonl").write_text(json.dumps(task))
+        return
+    (meta / "episodes" / "chunk-000").mkdir(parents=True)
+    places = [
+        row | {"data/chunk_index": 0, "data/file_index": row["episode_index"]}
+        for row in rows
+    ]
+    file = meta / "episodes" / "chunk-000" / "file-000.parquet"
+    pq.write_table(pa.Table.from_pylist(places), file)
+    pq.write_table(pa.Table.from_pylist([task]), meta / "tasks.parquet")

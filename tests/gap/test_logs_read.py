@@ -169,7 +169,10 @@ def test_a_tools_pose_beside_an_arm_is_kept_aside(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.recordings[0].extra["tool_qw"], TIME)
 
 
-def test_lerobot_with_other_names_for_features_and_joints(tmp_path: Path) -> None:
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_lerobot_with_other_names_for_features_and_joints(
+    tmp_path: Path, version: str
+) -> None:
     theirs = [f"{name}.pos" for name in ("base", "elbow", "wrist")]
     model = arm(tmp_path)
     folder = write_lerobot(
@@ -183,6 +186,7 @@ def test_lerobot_with_other_names_for_features_and_joints(tmp_path: Path) -> Non
             "action": (theirs, [COMMAND, COMMAND[:150]]),
         },
         listed=3,
+        version=version,
     )
     names = {"state": "observation.state", "base": "shoulder"}
     log = read_log(folder, model, rename=names)

@@ -56,6 +56,26 @@ def test_no_name_that_matches(tmp_path: Path) -> None:
         read_log(file, arm(tmp_path))
 
 
+def test_no_position_of_a_data_set_matches_whatever_velocities_do(
+    tmp_path: Path,
+) -> None:
+    parts = {
+        "observation.state": (["a", "b", "c"], [POSITION]),
+        "observation.velocity": (list(JOINTS), [POSITION]),
+    }
+    folder = write_lerobot(tmp_path / "set", parts)
+    with pytest.raises(DataError, match="3 columns a, b, c match no joint of model"):
+        read_log(folder, arm(tmp_path))
+
+
+def test_actions_for_a_model_without_actuators(tmp_path: Path) -> None:
+    start, end = ARM.index("<actuator>"), ARM.index("</mujoco>")
+    xml = ARM[:start] + ARM[end:]
+    told = refused(tmp_path, "model 'arm' has no actuators", xml=xml)
+    assert "3 actions (shoulder, elbow, wrist)" in told
+    assert "position servo" in told
+
+
 def test_actions_that_do_not_match_the_actuators(tmp_path: Path) -> None:
     told = refused(tmp_path, "do not match", cmd_gripper=TIME)
     assert "4 actions (shoulder, elbow, wrist, gripper)" in told
@@ -96,12 +116,25 @@ def test_too_little_data(tmp_path: Path) -> None:
         read_log(file, arm(tmp_path))
 
 
-def test_degrees_taken_for_radians(tmp_path: Path) -> None:
-    file = write_csv(tmp_path / "a.csv", arm_columns(TIME, np.degrees(POSITION)))
+@pytest.mark.parametrize("limited", ["true", "false"])
+def test_degrees_taken_for_radians(tmp_path: Path, limited: str) -> None:
+    model = arm(tmp_path, ARM.replace('limited="true"', f'limited="{limited}"'))
+    columns = arm_columns(TIME, np.degrees(POSITION), np.degrees(COMMAND))
+    file = write_csv(tmp_path / "a.csv", columns)
     with pytest.raises(DataError, match="give angles=degrees"):
-        read_log(file, arm(tmp_path), angles="radians")
-    log = read_log(file, arm(tmp_path))
+        read_log(file, model, angles="radians")
+    log = read_log(file, model)
     np.testing.assert_allclose(log.recordings[0].position, POSITION, atol=1e-6)
+
+
+def test_joints_that_the_model_lets_turn_further_are_no_degrees(
+    tmp_path: Path,
+) -> None:
+    model = arm(tmp_path, ARM.replace('range="-2 2"', 'range="-99 99"'))
+    wide = {"shoulder": 20 * POSITION[:, 0], "cmd_shoulder": 20 * COMMAND[:, 0]}
+    file = write_arm(tmp_path / "a.csv", **wide)
+    log = read_log(file, model, angles="radians")
+    np.testing.assert_allclose(log.recordings[0].position[:, 0], wide["shoulder"])
 
 
 def test_a_constant_joint_is_noted_and_all_of_them_refused(tmp_path: Path) -> None:
@@ -113,6 +146,23 @@ def test_a_constant_joint_is_noted_and_all_of_them_refused(tmp_path: Path) -> No
     refused(tmp_path, "no joint of the log moves", **still)
 
 
+@pytest.mark.parametrize("step", [0.0, 0.0015])
+def test_a_sensor_that_is_dead_while_its_joint_is_commanded(
+    tmp_path: Path, step: float
+) -> None:
+    # Nothing, or an encoder between two of its readings.
+    wrist = 0.5 + step * (np.arange(300) % 7 > 3)
+    told = refused(tmp_path, "its readings never move", wrist=wrist)
+    assert "wrist is commanded over 2.20 rad" in told
+    file = write_arm(tmp_path / "a.csv", wrist=wrist)
+    log = read_log(file, arm(tmp_path), rename={"wrist": "-"})
+    assert log.joints == ("shoulder", "elbow")
+    assert log.actuators == ("m1", "m2", "m3")
+    # A joint that its command leaves at rest is no dead sensor.
+    file = write_arm(tmp_path / "a.csv", wrist=wrist, cmd_wrist=0.5 + 0.01 * TIME)
+    assert "never move: wrist" in read_log(file, arm(tmp_path)).notes[0]
+
+
 def test_another_models_log(tmp_path: Path) -> None:
     told = refused(tmp_path, "of another model", elbow=POSITION[:, 1] + 2.5)
     assert "positions of elbow lie between 0.6" in told
@@ -122,6 +172,38 @@ def test_another_models_log(tmp_path: Path) -> None:
 def test_commands_of_other_joints(tmp_path: Path) -> None:
     sent = {f"cmd_{name}": COMMAND[:, i] + 3 for i, name in enumerate(JOINTS)}
     refused(tmp_path, "commands and positions are far apart, 3.0", **sent)
+
+
+def test_swapped_joints(tmp_path: Path) -> None:
+    swapped = {"shoulder": POSITION[:, 2], "wrist": POSITION[:, 0]}
+    told = refused(tmp_path, "shoulder, wrist look swapped", **swapped)
+    assert "the position of shoulder follows the command of wrist" in told
+    file = write_arm(tmp_path / "a.csv", **swapped)
+    names = {"shoulder": "position.wrist", "wrist": "position.shoulder"}
+    names |= {f"cmd_{name}": f"command.{name}" for name in JOINTS}
+    log = read_log(file, arm(tmp_path), rename=names)
+    np.testing.assert_allclose(log.recordings[0].position, POSITION, atol=1e-6)
+
+
+def test_a_mirrored_joint(tmp_path: Path) -> None:
+    refused(
+        tmp_path,
+        "the position of wrist moves against its command: its sign differs",
+        wrist=-POSITION[:, 2],
+    )
+    # The same of a servo whose gear turns it round is as it should be.
+    xml = ARM.replace('joint="wrist"', 'joint="wrist" gear="-1"')
+    file = write_arm(tmp_path / "a.csv", wrist=-POSITION[:, 2])
+    read_log(file, arm(tmp_path, xml))
+
+
+def test_a_fast_joint_that_is_late_by_half_a_period_is_not_mirrored(
+    tmp_path: Path,
+) -> None:
+    late, fast = np.sin(12 * (TIME - 0.26)), np.sin(12 * TIME)
+    file = write_arm(tmp_path / "a.csv", wrist=late, cmd_wrist=fast)
+    assert np.corrcoef(late, fast)[0, 1] < -0.95
+    assert read_log(file, arm(tmp_path)).notes == ()
 
 
 def test_times_that_run_backwards(tmp_path: Path) -> None:

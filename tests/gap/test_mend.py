@@ -7,6 +7,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
+from test_model import urdf
 
 from rlco.gap.mend import mended_xml, write_mend
 from rlco.gap.model import LoadedModel, load_model
@@ -256,3 +257,28 @@ def test_included_files_and_meshes_are_found_from_the_new_folder(
     assert mended.nmesh == 1
     # A file that includes another cannot be edited as text; it says so.
     assert ("written anew" in (out / "model.xml").read_text()) is inside
+
+
+AWAY, EVEN = "xyz='.1 0 .02'", "ixy='0'"
+
+
+def test_a_mended_urdf_weighs_what_its_links_weigh(tmp_path: Path) -> None:
+    """Fused, MuJoCo misplaces what is fixed with a turned inertia."""
+    file = tmp_path / "arm.urdf"
+    turned = urdf().replace(
+        "<origin xyz='.1 0 .02'/>", "<origin xyz='.1 0 .02' rpy='1 2 3'/>"
+    )
+    file.write_text(turned.replace(EVEN, "ixy='.004'"))
+    loaded = load_model(file)
+    friction = AppliedEffect("coulomb_friction", "elbow", {"frictionloss": 0.2})
+    mended = mujoco.MjModel.from_xml_string(mended_xml(loaded, (friction,), tmp_path))
+    assert mended.joint("elbow").frictionloss == pytest.approx(0.2)
+    for model in (mended, loaded.model):
+        data = mujoco.MjData(model)
+        data.qpos[:] = 0.3, 0.4
+        mujoco.mj_forward(model, data)
+        # By hand: masses at 0.1, 0.02 of their links, links of 0.2, angles from level.
+        lower = 0.3 + 0.4
+        tool = 0.3 * 9.81 * (0.3 * np.cos(lower) + 0.02 * np.sin(lower))
+        link = 0.5 * 9.81 * (0.1 * np.cos(lower) + 0.02 * np.sin(lower))
+        assert data.qfrc_bias[1] == pytest.approx(-(tool + link), rel=1e-6)

@@ -53,7 +53,33 @@ MODELS = {
       type="plane" size="1 1 1" contype="0" conaffinity="0"/><body pos="0 0 .2">
       <freejoint/><geom name="ball" size=".1" contype="0" conaffinity="0"/></body>
       </worldbody><contact><pair geom1="floor" geom2="ball"/></contact></mujoco>""",
+    "links that the compiler fuses": """<mujoco><compiler fusestatic="true"
+      discardvisual="true"/><worldbody><body pos="0 0 .3"><geom size=".03"/><body>
+      <joint axis="0 1 0" range="-99 99"/><geom size=".03" pos=".2 0 0"/><body
+      pos=".4 0 0"><geom size=".03"/><geom size=".05" contype="0" conaffinity="0"/>
+      </body></body></body></worldbody></mujoco>""",
 }
+
+
+def urdf(grip: str = "fixed") -> str:
+    """Two links and a tool that is gripped by a joint of a kind."""
+    links = "".join(
+        f"<link name='{name}'><inertial><origin xyz='.1 0 .02'/><mass value='{mass}'/>"
+        "<inertia ixx='.01' iyy='.01' izz='.01' ixy='0' ixz='0' iyz='0'/></inertial>"
+        "<visual><geometry><sphere radius='.05'/></geometry></visual></link>"
+        for name, mass in (("upper", 1.0), ("lower", 0.5), ("tool", 0.3))
+    )
+    joints = "".join(
+        f"<joint name='{name}' type='{kind}'><parent link='{parent}'/><child "
+        f"link='{child}'/><origin xyz='{place} 0 0'/><axis xyz='0 1 0'/><limit "
+        "lower='-2' upper='2' effort='20' velocity='5'/></joint>"
+        for name, kind, parent, child, place in (
+            ("shoulder", "revolute", "base", "upper", 0.0),
+            ("elbow", "revolute", "upper", "lower", 0.2),
+            ("grip", grip, "lower", "tool", 0.2),
+        )
+    )
+    return f"<robot name='arm'><link name='base'/>{links}{joints}</robot>"
 
 
 def rollout(model: mujoco.MjModel, steps: int = 400) -> Array:
@@ -114,6 +140,18 @@ def test_without_contact_only_contact_is_lacking(tmp_path: Path) -> None:
     ball = arm(tmp_path, MODELS["a pair of geoms that else pass"])
     assert rollout(ball.model)[-1, 2] > 0.05
     assert rollout(without_contact(ball).model)[-1, 2] < -1.0
+
+
+@pytest.mark.parametrize("grip", ["fixed", "prismatic"])
+def test_the_motion_of_a_urdf_is_the_same(tmp_path: Path, grip: str) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text(urdf(grip))
+    check_same_motion(file)
+    loaded = load_model(file)
+    assert loaded.actuators == ()
+    # A fixed tool is a link of its own, on which a payload can be held.
+    links = [body.name for body in loaded.spec.bodies[1:]]
+    assert links == ["base", "upper", "lower", "tool"]
 
 
 def test_what_cannot_touch_is_gone_and_what_can_is_not(tmp_path: Path) -> None:
@@ -197,5 +235,12 @@ def test_a_task_is_the_model_that_robosuite_steps() -> None:
             getattr(loaded.model, field), getattr(theirs, field)
         )
     assert loaded.model.ngeom < theirs.ngeom
-    with pytest.raises(UnknownNameError, match="Lift"):
+
+
+def test_a_task_that_is_misspelt() -> None:
+    with pytest.raises(UnknownNameError, match="did you mean 'Lift'"):
         load_model("robosuite:Lft")
+    told = r"unknown task 'push_cub' \(did you mean 'push_cube'\?\)"
+    with pytest.raises(UnknownNameError, match=told) as raised:
+        load_model("robosuite:push_cub")
+    assert "Tabletop" not in str(raised.value)

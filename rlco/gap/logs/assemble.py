@@ -43,7 +43,7 @@ def assemble(
         model: The model, or None.
         rename: ``{name in the log: name in the model}``: of a joint, an actuator or a
             whole column, whose new name may give a quantity (``velocity.joint1``) or
-            be ``-``, to leave it out.
+            be ``-``, to leave it out: that column alone, where one has this header.
 
     Raises:
         DataError: A name matches nothing, actions do not match the actuators, the
@@ -76,8 +76,12 @@ def _renamed(
     table: Table, rename: Mapping[str, str], model: LoadedModel | None
 ) -> Table:
     columns = []
+    headers = {column.header for column, _ in table.columns}
     for column, values in table.columns:
         new = rename.get(column.header, rename.get(column.stem))
+        if new == LEFT_OUT and column.header not in rename and column.stem in headers:
+            # A joint's name that is a header, too, leaves out that column alone.
+            new = None
         if new != LEFT_OUT:
             here = column if new is None else _under(column, new, model)
             columns.append((here, values))

@@ -8,9 +8,9 @@ import numpy as np
 
 from rlco.errors import DataError
 from rlco.gap.log import Array, Log
+from rlco.gap.logs.following import check_following
 from rlco.gap.logs.matching import few
 from rlco.gap.model import LoadedModel
-from rlco.physics.effects.targets import actuated_joint, is_servo
 
 #: Fewer seconds of all recordings together show no effect.
 FEWEST_SECONDS = 4.0
@@ -21,8 +21,6 @@ _FEWEST_ROWS = 50
 _SLACK = 0.1
 _SLACK_SHARE = 0.1
 _OUTSIDE_ROWS = 0.05
-# Half of all rows further from their command than this, of half of all joints [rad].
-_ASTRAY = 1.5
 # A signal is cut off where it runs into its extreme and out of it, at this share of
 # its usual speed and more than so many of the sensor's steps a row, several times ...
 _SHARP = 0.3
@@ -45,8 +43,8 @@ def check_log(log: Log, model: LoadedModel | None) -> tuple[str, ...]:
 
     Raises:
         DataError: Too little data, no joint that moves, positions far outside the
-            model's joint ranges, commands of other joints, or positions cut off at the
-            end of a sensor's range.
+            model's joint ranges, joints that do not follow their commands, or
+            positions cut off at the end of a sensor's range.
     """
     _refuse_short(log)
     if not log.joints or log.recordings[0].position is None:
@@ -54,7 +52,7 @@ def check_log(log: Log, model: LoadedModel | None) -> tuple[str, ...]:
     notes = _still_joints(log)
     if model is not None:
         _refuse_other_model(log, model)
-        _refuse_other_commands(log, model)
+        check_following(log, model)
     return (*notes, *_cut_off(log, model))
 
 
@@ -111,35 +109,6 @@ def _refuse_other_model(log: Log, model: LoadedModel) -> None:
                 "sign or unit differs; give the model of this robot, or rename= where "
                 "columns are swapped."
             )
-
-
-def _refuse_other_commands(log: Log, model: LoadedModel) -> None:
-    pairs = [
-        (log.joints.index(joint), column)
-        for column, name in enumerate(log.actuators)
-        if name in model.actuators
-        for number in [model.actuators.index(name)]
-        for joint in [actuated_joint(model.model, number)]
-        if is_servo(model.model, number) and joint in log.joints
-    ]
-    commanded = [r for r in log.recordings if r.command is not None]
-    if not pairs or not commanded:
-        return
-    joints, columns = (list(side) for side in zip(*pairs, strict=True))
-    apart = np.concatenate(
-        [
-            np.asarray(r.command)[:, columns] - np.asarray(r.position)[:, joints]
-            for r in commanded
-        ]
-    )
-    typical = np.median(np.abs(apart), axis=0)
-    if (typical > _ASTRAY).mean() > 0.5:
-        worst = int(typical.argmax())
-        raise DataError(
-            f"commands and positions are far apart, {typical[worst]:.2f} at "
-            f"{log.joints[joints[worst]]} in half of all rows: they are of different "
-            "joints, units or zeros; check the order of the columns, or give rename=."
-        )
 
 
 def _cut_off(log: Log, model: LoadedModel | None) -> list[str]:

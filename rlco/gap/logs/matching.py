@@ -119,6 +119,13 @@ def _match_actuators(stems: Sequence[str], model: LoadedModel) -> dict[str, str]
     other = match_names(stems, list(by_joint))
     if len(other) > len(found):
         found = {stem: by_joint[joint] for stem, joint in other.items()}
+    if not model.actuators:
+        raise DataError(
+            f"the log has {len(stems)} actions ({few(stems)}) and model {model.name!r} "
+            "has no actuators; give an MJCF file with a position servo a joint, or, "
+            "where the log has torques, leave the actions out with '-' as their new "
+            f"name ({_HINT[5:]})."
+        )
     lacking = [name for name in model.actuators if name not in found.values()]
     left = [stem for stem in stems if stem not in found]
     if lacking or left:
@@ -136,14 +143,16 @@ def _refuse_unmatched(table: Table, joints: dict[str, str], model: LoadedModel) 
     positions = list(table.of_kind("position"))
     if table.of_kind("pose") and not positions:
         return
-    lacking = [name for name in model.joints if name not in joints.values()]
+    # A joint's velocity or torque alone is of no use here.
+    placed = [joints[stem] for stem in positions if stem in joints]
+    lacking = [name for name in model.joints if name not in placed]
     headers = {column.stem: column.header for column, _ in reversed(table.columns)}
     left = [stem for stem in positions if stem not in joints]
     # Without a quantity in its header a column may be a joint that is misspelt.
     spare = [stem for stem in table.of_kind("extra") if stem not in joints]
     near = [stem for stem in spare if suggest(stem, lacking)] if joints else spare
     some = [*left, *near]
-    if (lacking and some) or not joints:
+    if (lacking and some) or not placed:
         told = [
             stem if stem and not stem.isdecimal() else headers[stem] for stem in some
         ]
@@ -153,7 +162,7 @@ def _refuse_unmatched(table: Table, joints: dict[str, str], model: LoadedModel) 
             f"without a column are {few(lacking) or 'none'}; {_HINT}."
             if told
             else f"the log has no joint positions and model {model.name!r} has joints "
-            f"{few(model.joints) or 'none'}; give a log of this robot, or {_HINT[5:]}"
+            f"{few(model.joints) or 'none'}; give a log of this robot, or {_HINT[5:]}."
         )
 
 

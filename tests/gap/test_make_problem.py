@@ -1,0 +1,88 @@
+"""Which comparison fits a log, and what is said where none does."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from log_cases import ARM, arm, motion, write_csv, write_lerobot
+from test_model import urdf
+
+from rlco.errors import DataError
+from rlco.gap.logs import read_log
+from rlco.gap.make_problem import make_problem
+from rlco.gap.model import load_model
+from rlco.gap.problem import Hypothesis
+from rlco.gap.torque_log import TorqueLog
+
+TIME, POSITION, COMMAND = motion()
+HOME = np.array([0.0, 0.2, 0.0, -2.0, 0.0, 2.6, 0.8])
+
+
+def joint_log(tmp_path: Path, count: int, name: str) -> Path:
+    """Write positions and commands of a Panda's first joints, named alike."""
+    names = [f"{name}{i + 1}" for i in range(count)]
+    moves = 0.2 * np.sin(TIME[:, None] + np.arange(count))
+    position = HOME[:count] + moves
+    joints = [f"joint{i + 1}" for i in range(count)]
+    parts = {"observation.state": (joints, [position]), "action": (names, [position])}
+    return write_lerobot(tmp_path / "set", parts)
+
+
+@pytest.mark.parametrize("count", [3, 7])
+def test_joint_commands_are_no_actions_of_a_task(tmp_path: Path, count: int) -> None:
+    loaded = load_model("robosuite:push_cube")
+    log = read_log(joint_log(tmp_path, count, "joint"), loaded)
+    with pytest.raises(DataError, match=f"the log's {count} actions") as raised:
+        make_problem(loaded, log)
+    told = str(raised.value)
+    assert "are commands of joints, neither the 7 actions of task 'push_cube'" in told
+    assert "tool.dx, tool.dy" in told
+    assert "an MJCF file with a position servo" in told
+
+
+def test_actions_that_are_nobodys(tmp_path: Path) -> None:
+    loaded = load_model("robosuite:Lift")
+    log = read_log(joint_log(tmp_path, 3, "motor"), loaded)
+    match = r"\(motor1, motor2, motor3\) are not those of model 'Lift', which has 9"
+    with pytest.raises(DataError, match=match):
+        make_problem(loaded, log)
+
+
+def test_a_urdf_is_compared_by_its_torques(tmp_path: Path) -> None:
+    file = tmp_path / "arm.urdf"
+    file.write_text(urdf())
+    model = mujoco.MjModel.from_xml_path(str(file))
+    position = 0.5 * np.sin(TIME[:, None] * [2.0, 3.0])
+    speed = np.gradient(position, TIME, axis=0)
+    pull = np.gradient(speed, TIME, axis=0)
+    data, torque = mujoco.MjData(model), np.empty_like(position)
+    for row in range(len(TIME)):
+        data.qpos[:], data.qvel[:], data.qacc[:] = position[row], speed[row], pull[row]
+        mujoco.mj_inverse(model, data)
+        torque[row] = data.qfrc_inverse
+    columns = {"time": TIME}
+    for i, name in enumerate(("shoulder", "elbow")):
+        columns |= {f"q_{name}": position[:, i], f"tau_{name}": torque[:, i]}
+    loaded = load_model(file)
+    problem = make_problem(
+        loaded, read_log(write_csv(tmp_path / "a.csv", columns), loaded)
+    )
+    assert isinstance(problem, TorqueLog)
+    left = problem.residuals([Hypothesis()])[0]
+    assert np.sqrt(np.mean(left**2)) < 0.02 * np.sqrt(np.mean(torque**2))
+
+
+def test_a_joint_whose_sensor_is_dead_can_be_left_out(tmp_path: Path) -> None:
+    columns = {"time": TIME}
+    for i, name in enumerate(("shoulder", "elbow", "wrist")):
+        columns |= {name: POSITION[:, i], f"cmd_{name}": COMMAND[:, i]}
+    columns["wrist"] = np.full(300, 0.5)
+    # Its wrist is too light for its servo to be stepped explicitly.
+    xml = ARM.replace("<worldbody>", '<option integrator="implicitfast"/><worldbody>')
+    file, loaded = write_csv(tmp_path / "a.csv", columns), arm(tmp_path, xml)
+    problem = make_problem(loaded, read_log(file, loaded, rename={"wrist": "-"}))
+    assert problem.layout.channels == ("shoulder", "elbow")
+    assert np.isfinite(problem.residuals([Hypothesis()])).all()
