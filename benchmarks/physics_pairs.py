@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.physics.domain import SIM
+from rlco.physics.domain import SIM, Domain
 from rlco.physics.global_random import seeded
 from rlco.physics.native import NativeStepper
 from rlco.physics.robosuite_batch import RobosuiteBatch
@@ -19,12 +20,29 @@ from rlco.physics.task import TASK_NAMES, make_task
 
 Array = NDArray[np.float64]
 KINDS = {"exact": True, "fast": False}
-#: By how much a step's reward differs, and whether its success flag does.
-Differences = dict[str, tuple[float, bool]]
+
+
+@dataclass(frozen=True)
+class Difference:
+    """In what a native control step differs from robosuite's.
+
+    Attributes:
+        reward: The shaped reward.
+        flag: Whether the success flags differ.
+        seen: The largest difference of what the task's rules and observations read:
+            robosuite's `object-state`, or all of rlco's `SceneState`.
+    """
+
+    reward: float
+    flag: bool
+    seen: float
+
+
+Differences = dict[str, Difference]
 
 
 class RobosuitePair:
-    """One of robosuite's tasks.
+    """One of robosuite's tasks, with the shaped reward.
 
     Args:
         name: robosuite's name.
@@ -55,32 +73,57 @@ class RobosuitePair:
 
     def step(self, action: Array) -> Differences:
         """Execute a control step everywhere."""
-        _, reward, _, _ = self.env.step(action)
+        seen, reward, _, _ = self.env.step(action)
         success = self.env._check_success()
         chunk = np.tile(action, (self.copies, 1, 1))
         found = {kind: native.step(chunk) for kind, native in self.native.items()}
         return {
-            kind: (abs(reward - out.reward[0, 0]), bool(out.success[0] != success))
+            kind: Difference(
+                float(abs(reward - out.reward[0, 0])),
+                bool(out.success[0] != success),
+                largest(seen["object-state"], out.observations["object-state"][0]),
+            )
             for kind, out in found.items()
         }
 
 
 class TaskPair:
-    """One of rlco's tasks, in ``sim``, with the shaped reward; as `RobosuitePair`."""
+    """One of rlco's tasks in a domain, with the shaped reward; as `RobosuitePair`.
 
-    def __init__(self, name: str, copies: int = 1) -> None:
+    Args:
+        name: The task's name.
+        copies: Native copies of each arithmetic; all are stepped, the first compared.
+        domain: The domain.
+        variation: A named variation of the scene.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        copies: int = 1,
+        domain: Domain = SIM,
+        variation: str | None = None,
+    ) -> None:
         self.task = make_task(name)
-        self.env = Tabletop(self.task, SIM)
+        self.variation = variation
+        self.env = Tabletop(self.task, domain, variation=variation)
         keep_divergence(self.env)
         self.copies = copies
         self.native: dict[str, Any] = {
-            kind: NativeStepper(self.task, SIM, num_envs=copies, threads=1, exact=exact)
+            kind: NativeStepper(
+                self.task,
+                domain,
+                num_envs=copies,
+                threads=1,
+                exact=exact,
+                variation=variation,
+            )
             for kind, exact in KINDS.items()
         }
 
     def start(self, seed: int) -> None:
         """Start the same episode everywhere."""
-        initial = self.task.sample(np.random.default_rng(seed), None)
+        initial = self.task.sample(np.random.default_rng(seed), self.variation)
         self.env.start(initial)
         for native in self.native.values():
             native.reset([initial] * self.copies)
@@ -95,18 +138,48 @@ class TaskPair:
         found = {}
         for kind, native in self.native.items():
             state = native.step(chunk).at((0, 1))
-            difference = abs(reward - self.task.reward(before, state, "shaped"))
-            flag = self.task.success(after) != self.task.success(state)
-            found[kind] = float(difference), bool(flag)
+            found[kind] = Difference(
+                float(abs(reward - self.task.reward(before, state, "shaped"))),
+                bool(self.task.success(after) != self.task.success(state)),
+                max(largest(v, vars(state)[k]) for k, v in vars(after).items()),
+            )
         return found
 
 
 Pair = RobosuitePair | TaskPair
 
 
-def make_pair(name: str, copies: int = 1) -> Pair:
-    """Return the pair of a task: rlco's, or robosuite's."""
-    return (TaskPair if name in TASK_NAMES else RobosuitePair)(name, copies)
+def make_pair(name: str, copies: int = 1, domain: Domain = SIM) -> Pair:
+    """Return the pair of a task: rlco's in the domain, or robosuite's."""
+    if name in TASK_NAMES:
+        return TaskPair(name, copies, domain)
+    return RobosuitePair(name, copies)
+
+
+def random_action(pair: Pair, rng: np.random.Generator) -> Array:
+    """Draw any action."""
+    size = pair.native["fast"].copies.control.action_size
+    return rng.uniform(-1.0, 1.0, size)
+
+
+def contact_action(pair: Pair, rng: np.random.Generator) -> Array:
+    """Draw an action that seeks contact.
+
+    The scripted expert's with noise; for robosuite's tasks, which have no expert, a
+    random one that goes down.
+    """
+    if isinstance(pair, TaskPair):
+        action = pair.task.expert(pair.env.scene_state())
+        action[:6] += 0.2 * rng.standard_normal(6)
+    else:
+        action = random_action(pair, rng)
+        action[2] -= 0.6
+    return np.clip(action, -1.0, 1.0)
+
+
+def largest(one: Array, other: Array) -> float:
+    """Return the largest difference of two arrays' numbers, 0 of empty ones."""
+    return float(np.abs(one - other).max(initial=0.0))
 
 
 def anchor(pair: Pair) -> None:
@@ -123,8 +196,7 @@ def anchor(pair: Pair) -> None:
 
 def apart(pair: Pair, kind: str, copy: int = 0) -> float:
     """Return the largest difference of a coordinate [rad, m]."""
-    ours = pair.native[kind].data[copy].qpos
-    return float(np.abs(pair.env.sim.data._data.qpos - ours).max())
+    return largest(pair.env.sim.data._data.qpos, pair.native[kind].data[copy].qpos)
 
 
 def touching(env: Any) -> bool:

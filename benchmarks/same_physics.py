@@ -3,7 +3,9 @@
 Run ``python benchmarks/same_physics.py [tasks=Lift,Door] [episodes=50] [steps=200]``
 with OMP_NUM_THREADS=1; it prints one markdown table, a task's rows as they come. Every
 control step starts from robosuite's state, random actions throughout, contacts
-included; differences are the largest over all steps.
+included; differences are the largest over all steps. ``domain=stand_in`` plays rlco's
+tasks there; robosuite's have no domains. ``actions=contact`` plays the scripted
+expert's actions with noise, and random ones that go down in robosuite's tasks.
 
 ``open=1 out=FOLDER`` instead steps open loop and draws how far the coordinates get
 apart into ``FOLDER/open_loop.png``. What to compare it with: the same episodes in
@@ -13,13 +15,24 @@ robosuite's own arithmetic, started with the arm's first joint 1e-15 rad aside.
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from physics_pairs import KINDS, Pair, anchor, apart, make_pair, touching
+from physics_pairs import (
+    KINDS,
+    Pair,
+    anchor,
+    apart,
+    contact_action,
+    make_pair,
+    random_action,
+    touching,
+)
 
+from rlco.physics.domain import SIM, Domain, make_domain
 from rlco.physics.task import TASK_NAMES
 
 TASKS = ("Lift", "Stack", "Door", "NutAssembly", *TASK_NAMES)
@@ -27,12 +40,13 @@ NUDGE = 1e-15  # [rad]
 MARKS = (1, 2, 5, 10)  # [s]
 RATE = 20  # control steps a second
 LOOKS = (("#56b4e9", 3.2), ("#e69f00", 2.2), ("#009e73", 1.6), ("#0b3c6f", 1.0))
+ACTIONS = {"random": random_action, "contact": contact_action}
+Act = Callable[[Pair, np.random.Generator], NDArray[np.float64]]
 Curves = dict[str, NDArray[np.float64]]
 
 
-def anchored(name: str, episodes: int, steps: int) -> list[str]:
+def anchored(pair: Pair, name: str, act: Act, episodes: int, steps: int) -> list[str]:
     """Return a task's rows of the table."""
-    pair = make_pair(name)
     contacts = 0
     found: dict[str, list[tuple[float, float, bool]]] = {k: [] for k in KINDS}
     for seed in range(episodes):
@@ -40,10 +54,10 @@ def anchored(name: str, episodes: int, steps: int) -> list[str]:
         rng = np.random.default_rng(seed)
         for _ in range(steps):
             anchor(pair)
-            differences = pair.step(rng.uniform(-1, 1, action_size(pair)))
+            differences = pair.step(act(pair, rng))
             contacts += touching(pair.env)
-            for kind, (reward, flag) in differences.items():
-                found[kind].append((apart(pair, kind), reward, flag))
+            for kind, it in differences.items():
+                found[kind].append((apart(pair, kind), it.reward, it.flag))
     return [row(name, kind, rows, contacts) for kind, rows in found.items()]
 
 
@@ -59,12 +73,9 @@ def row(
     )
 
 
-def action_size(pair: Pair) -> int:
-    """Return how many numbers an action has."""
-    return int(pair.native["fast"].copies.control.action_size)
-
-
-def closeness(tasks: tuple[str, ...], episodes: int, steps: int) -> None:
+def closeness(
+    tasks: tuple[str, ...], domain: Domain, act: Act, episodes: int, steps: int
+) -> None:
     """Measure, and print the table."""
     columns = "task, arithmetic, control steps, robot touches something, "
     columns += "within 1e-9, largest in qpos, largest in reward, "
@@ -72,13 +83,14 @@ def closeness(tasks: tuple[str, ...], episodes: int, steps: int) -> None:
     print("| " + columns.replace(", ", " | ") + " |")
     print("|---|---|---|---|---|---|---|---|", flush=True)
     for name in tasks:
-        for text in anchored(name, episodes, steps):
+        pair = make_pair(name, domain=domain)
+        for text in anchored(pair, name, act, episodes, steps):
             print(text, flush=True)
 
 
-def open_loop(name: str, episodes: int, steps: int) -> Curves:
+def open_loop(name: str, domain: Domain, episodes: int, steps: int) -> Curves:
     """Return how far apart trajectories are, by what differs, each [episode, step]."""
-    pair = make_pair(name, copies=2)
+    pair = make_pair(name, 2, domain)
     arm = pair.native["exact"].copies.control.arm_qpos
     shape = (episodes, steps)
     curves = {kind: np.zeros(shape) for kind in (*KINDS, "nudged")}
@@ -87,14 +99,16 @@ def open_loop(name: str, episodes: int, steps: int) -> Curves:
         pair.native["exact"].data[1].qpos[arm[0]] += NUDGE
         rng = np.random.default_rng(seed)
         for step in range(steps):
-            pair.step(rng.uniform(-1, 1, action_size(pair)))
+            pair.step(random_action(pair, rng))
             for kind in KINDS:
                 curves[kind][seed, step] = apart(pair, kind)
             curves["nudged"][seed, step] = apart(pair, "exact", copy=1)
     return curves
 
 
-def parting(tasks: tuple[str, ...], episodes: int, steps: int, out: str) -> None:
+def parting(
+    tasks: tuple[str, ...], domain: Domain, episodes: int, steps: int, out: str
+) -> None:
     """Print how trajectories part, medians over episodes, and draw it."""
     marks = [mark for mark in MARKS if mark * RATE <= steps]
     columns = [*(f"{mark} s" for mark in marks), "at the end, worst episode"]
@@ -102,7 +116,7 @@ def parting(tasks: tuple[str, ...], episodes: int, steps: int, out: str) -> None
     print("|---|---|" + "---|" * len(columns), flush=True)
     found = {}
     for name in tasks:
-        found[name] = open_loop(name, episodes, steps)
+        found[name] = open_loop(name, domain, episodes, steps)
         for kind, curve in found[name].items():
             medians = np.median(curve, axis=0)
             numbers = [
@@ -160,11 +174,25 @@ def draw_task(axis: Any, name: str, curves: Curves, look: tuple[str, float]) -> 
         )
 
 
+def check_tasks(tasks: tuple[str, ...], domain: Domain) -> None:
+    """Refuse robosuite's tasks anywhere but in ``sim``: they have no domains."""
+    theirs = [name for name in tasks if name not in TASK_NAMES]
+    if theirs and domain != SIM:
+        raise SystemExit(
+            f"domain={domain.name} is not supported for robosuite's tasks {theirs}; "
+            f"give tasks={','.join(TASK_NAMES)}."
+        )
+
+
 if __name__ == "__main__":
     given = dict(argument.split("=", 1) for argument in sys.argv[1:])
     counts = int(given.get("episodes", 50)), int(given.get("steps", 200))
-    chosen = tuple(given["tasks"].split(",")) if "tasks" in given else TASKS
+    place = make_domain(given.get("domain", "sim"))
+    chosen = TASKS if place == SIM else TASK_NAMES
+    if "tasks" in given:
+        chosen = tuple(given["tasks"].split(","))
+    check_tasks(chosen, place)
     if "open" in given:
-        parting(chosen, *counts, given.get("out", ""))
+        parting(chosen, place, *counts, given.get("out", ""))
     else:
-        closeness(chosen, *counts)
+        closeness(chosen, place, ACTIONS[given.get("actions", "random")], *counts)

@@ -1,10 +1,10 @@
 """How many control steps a second each backend makes, and how long a reset takes.
 
-Run ``python benchmarks/stepping.py [rounds=30] [task=NAME]`` with OMP_NUM_THREADS=1; it
-prints one markdown table a task: push_cube of rlco's own, then robosuite's Lift, Stack,
-Door and NutAssembly. Every side steps from the same starts by the same random commands;
-the sides take turns, so that what else the machine does meets all. A rate is the median
-over rounds, a ratio the median of the rounds' ratios.
+Run ``python benchmarks/stepping.py [rounds=30] [tasks=push_cube,Lift]`` with
+OMP_NUM_THREADS=1; it prints two markdown tables a task, of rlco's four, then of
+robosuite's Lift, Stack, Door and NutAssembly. Every side steps from the same starts by
+the same random commands; the sides take turns, so that what else the machine does meets
+all. A rate is the median over rounds, a ratio the median of the rounds' ratios.
 """
 
 from __future__ import annotations
@@ -20,28 +20,30 @@ import numpy as np
 from rlco.physics.domain import SIM
 from rlco.physics.global_random import seeded
 from rlco.physics.native import NativeStepper
-from rlco.physics.push_cube import TASK
 from rlco.physics.robosuite_batch import RobosuiteBatch
 from rlco.physics.robosuite_tasks import make_plain
 from rlco.physics.tabletop import Tabletop
+from rlco.physics.task import TASK_NAMES, make_task
 
 COPIES, STEPS, EPISODES = 16, 10, 4
-TASKS = ("push_cube", "Lift", "Stack", "Door", "NutAssembly")
+TASKS = (*TASK_NAMES, "Lift", "Stack", "Door", "NutAssembly")
+BARE = "bare mj_step, 1 thread"
 COMMANDS = np.random.default_rng(1).uniform(-0.5, 0.5, (COPIES, STEPS, 7))
 Side = Callable[[], float]
 
 
-def starts() -> list[Any]:
-    """Return how the episodes of push_cube start."""
-    return [TASK.sample(np.random.default_rng([0, i]), None) for i in range(COPIES)]
+def starts(task: str) -> list[Any]:
+    """Return how the episodes of one of rlco's tasks start."""
+    sample = make_task(task).sample
+    return [sample(np.random.default_rng([0, i]), None) for i in range(COPIES)]
 
 
 def native(task: str, *, threads: int, exact: bool = False) -> tuple[Any, Any]:
     """Return native copies, and a function that starts their episodes."""
     options: dict[str, Any] = {"num_envs": COPIES, "threads": threads, "exact": exact}
-    if task == "push_cube":
-        stepper = NativeStepper(TASK, SIM, **options)
-        initial = starts()
+    if task in TASK_NAMES:
+        stepper = NativeStepper(make_task(task), SIM, **options)
+        initial = starts(task)
         return stepper, lambda: stepper.reset(initial)
     env = make_plain(task, reward_shaping=True)
     batch = RobosuiteBatch(env, observations=["object-state"], **options)
@@ -86,9 +88,9 @@ def bare_side(task: str) -> Side:
 
 def robosuite_episodes(task: str) -> tuple[Any, list[Callable[[], object]]]:
     """Return robosuite's own environment, and what starts each of its episodes."""
-    if task == "push_cube":
-        env = Tabletop(TASK, SIM)
-        return env, [lambda s=s: env.start(s) for s in starts()]
+    if task in TASK_NAMES:
+        env = Tabletop(make_task(task), SIM)
+        return env, [lambda s=s: env.start(s) for s in starts(task)]
     env = make_plain(task, reward_shaping=True)
 
     def start(seed: int) -> None:
@@ -119,8 +121,8 @@ def reset_sides(task: str) -> dict[str, Side]:
 
     def place() -> None:
         for seed, data in enumerate(copies.data):
-            if task == "push_cube":
-                TASK.sample(np.random.default_rng([0, seed]), None)
+            if task in TASK_NAMES:
+                make_task(task).sample(np.random.default_rng([0, seed]), None)
             else:
                 env.placement_initializer.sample()
             mujoco.mj_forward(copies.model, data)
@@ -136,32 +138,44 @@ def reset_sides(task: str) -> dict[str, Side]:
 
 
 def table(title: str, unit: str, sides: dict[str, Side], rounds: int) -> None:
-    """Measure all sides in turns, and print a table of ratios to the first."""
+    """Measure all sides in turns, and print ratios to the first, and to `BARE`."""
     for play in sides.values():
         play()  # compiled code is loaded, memory touched
     rates = np.array([[play() for play in sides.values()] for _ in range(rounds)])
-    print(f"\n| {title} | {unit} a second | times the first [quartiles] |")
-    print("|---|---|---|")
-    for name, row, ratio in zip(sides, rates.T, (rates / rates[:, :1]).T, strict=True):
-        low, middle, high = np.percentile(ratio, [25, 50, 75])
-        middle_rate = np.median(row)
-        print(f"| {name} | {middle_rate:.0f} | {middle:.2f} [{low:.2f}, {high:.2f}] |")
+    bare = list(sides).index(BARE) if BARE in sides else None
+    more = "" if bare is None else f" of {BARE} |"
+    print(f"\n| {title} | {unit} a second | times the first [quartiles] |{more}")
+    print("|---|---|---|" + ("" if bare is None else "---|"))
+    for name, row in zip(sides, rates.T, strict=True):
+        low, middle, high = np.percentile(row / rates[:, 0], [25, 50, 75])
+        text = (
+            f"| {name} | {np.median(row):.0f} | {middle:.2f} [{low:.2f}, {high:.2f}] |"
+        )
+        if bare is not None:
+            text += f" {np.median(row / rates[:, bare]):.0%} |"
+        print(text, flush=True)
 
 
-def main(rounds: int = 30, task: str = "") -> None:
+def stepping_sides(task: str) -> dict[str, Side]:
+    """Return rounds of control steps: robosuite's, native ones, nothing but MuJoCo."""
+    return {
+        "robosuite": robosuite_side(task),
+        "native, 1 thread": native_side(task, threads=1),
+        "native, 1 thread, exact": native_side(task, threads=1, exact=True),
+        "native, 2 threads": native_side(task, threads=2),
+        "native, 2 threads, exact": native_side(task, threads=2, exact=True),
+        BARE: bare_side(task),
+    }
+
+
+def main(rounds: int = 30, tasks: tuple[str, ...] = TASKS) -> None:
     """Measure, and print the tables."""
-    for name in [task] if task else TASKS:
-        sides = {
-            "robosuite": robosuite_side(name),
-            "native, 1 thread": native_side(name, threads=1),
-            "native, 1 thread, exact": native_side(name, threads=1, exact=True),
-            "native, 2 threads": native_side(name, threads=2),
-            "bare mj_step, 1 thread": bare_side(name),
-        }
-        table(name, "control steps", sides, rounds)
+    for name in tasks:
+        table(name, "control steps", stepping_sides(name), rounds)
         table(f"{name}, resets", "resets", reset_sides(name), rounds)
 
 
 if __name__ == "__main__":
     given = dict(argument.split("=", 1) for argument in sys.argv[1:])
-    main(int(given.get("rounds", 30)), given.get("task", ""))
+    chosen = tuple(given["tasks"].split(",")) if "tasks" in given else TASKS
+    main(int(given.get("rounds", 30)), chosen)

@@ -27,7 +27,7 @@ def table_friction(domain: Domain) -> tuple[float, float, float]:
 
 
 def sample(rng: np.random.Generator, variation: str | None = None) -> InitialState:
-    """Draw the start of an episode."""
+    """Draw the start of an episode; there are no variations."""
     return InitialState(
         joint_position=HOME + rng.normal(0.0, HOME_NOISE, 7),
         object_pose=np.array([[0.2, 0.2, TABLE_HEIGHT + 0.025, 1.0, 0.0, 0.0, 0.0]]),

@@ -5,20 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Literal
 
-import numpy as np
-
 from rlco.envs.chunk_env import ON_DIVERGENCE, ChunkEnv, OnDivergence, RewardKind
 from rlco.envs.robosuite_env import make_robosuite_env
 from rlco.envs.tabletop_env import Stepper, TabletopEnv
 from rlco.errors import RlcoError, UnknownNameError
 from rlco.physics.camera import Quality, check_quality
+from rlco.physics.copy_checks import check_native
 from rlco.physics.domain import Domain, make_domain
 from rlco.physics.mended_model import Given, given_effects
 from rlco.physics.native import NativeStepper
+from rlco.physics.robosuite_options import PREFIX
 from rlco.physics.robosuite_stepper import RobosuiteStepper
-from rlco.physics.robosuite_tasks import PREFIX
 from rlco.physics.task import Task, make_task
-from rlco.physics.variations import domain_in
+from rlco.physics.variations import check_variation_of, domain_in
 
 Backend = Literal["native", "robosuite"]
 
@@ -38,6 +37,7 @@ def make_env(
     effects: Given = None,
     seed: int = 0,
     threads: int | None = None,
+    exact: bool = False,
     on_divergence: OnDivergence = "reset",
     robosuite_options: Mapping[str, Any] | None = None,
 ) -> ChunkEnv:
@@ -47,7 +47,8 @@ def make_env(
         task: A task or its name; ``robosuite:Lift`` is robosuite's own Lift.
         domain: A domain or its name: ``sim`` or ``stand_in``.
         backend: ``native`` steps the model in threads; ``robosuite`` lets robosuite
-            step, about six times slower. The motion is the same.
+            step, about six times slower. The motion is the same up to
+            rounding, which contacts enlarge; with ``exact=True`` to the last bit.
         num_envs: Batch size N.
         chunk: Control steps H a decision; actions have shape (N, H, 7).
         reward: ``shaped`` or ``sparse``.
@@ -61,13 +62,17 @@ def make_env(
             The robot's controller does not know of them.
         seed: Draws initial states and sensor noise.
         threads: Threads of the native backend; by default one a core.
+        exact: Let the native backend compute with robosuite's own linear algebra,
+            about a third slower.
         on_divergence: What to do with an environment whose simulation diverges:
             ``reset`` it and count it, see `rlco.envs.chunk_env.ChunkEnv`, or ``raise``.
-        robosuite_options: robosuite's own, for its own tasks: ``{"robots": "UR5e"}``.
+        robosuite_options: robosuite's own, for its own tasks of one arm:
+            ``{"robots": "UR5e"}``.
 
     Raises:
         UnknownNameError: If a name is unknown.
-        RlcoError: If a number is out of range, or an effect cannot be applied.
+        RlcoError: If a number is out of range, options do not go together, or an
+            effect cannot be applied.
         DataError: If the effects' file cannot be read.
         RenderingError: If images are asked for and nothing can render.
 
@@ -95,6 +100,12 @@ def make_env(
             f"image_size={image_size} is not allowed; give (height, width) in pixels."
         )
     check_quality(image_quality)
+    if image_quality != "fast" and image_size is None:
+        raise RlcoError(
+            f"image_quality={image_quality!r} is of no use without images; give "
+            "image_size=(height, width), or leave it out."
+        )
+    check_native(backend, threads=threads, exact=exact)
     given = given_effects(effects)
     if isinstance(task, str) and task.startswith(PREFIX):
         _refuse_for_robosuite(task, domain, image_size, variation)
@@ -107,6 +118,7 @@ def make_env(
             horizon=horizon,
             seed=seed,
             threads=threads,
+            exact=exact,
             on_divergence=on_divergence,
             options=robosuite_options or {},
             effects=given,
@@ -117,8 +129,7 @@ def make_env(
             "leave it out."
         )
     task, domain = make_task(task), make_domain(domain)
-    # An unknown variation shows before anything is built.
-    task.sample(np.random.default_rng(seed), variation)
+    check_variation_of(task, variation)
     domain = domain_in(domain, variation)
     stepper: Stepper
     if backend == "native":
@@ -127,6 +138,7 @@ def make_env(
             domain,
             num_envs=num_envs,
             threads=threads,
+            exact=exact,
             variation=variation,
             on_divergence="mark",
             effects=given,

@@ -10,16 +10,24 @@ import torch
 from numpy.typing import NDArray
 
 from rlco.envs.chunk_env import ChunkEnv, OnDivergence, RewardKind
+from rlco.errors import RlcoError
 from rlco.physics.arm_control import Array
 from rlco.physics.effects.effects_file import EffectsFile
 from rlco.physics.robosuite_batch import BatchStep, RobosuiteBatch
 from rlco.physics.robosuite_envs import RobosuiteEnvs
+from rlco.physics.robosuite_options import check_one_arm, check_options
 from rlco.physics.robosuite_tasks import (
     ENVIRONMENT_STATE,
     STATE,
     RobosuiteTask,
     make_plain,
 )
+
+# Options that `make_env` has by another name, or of another kind.
+_OURS = {
+    "reward_shaping": "give reward='shaped' or reward='sparse'",
+    "effects": "give effects= of make_env itself",
+}
 
 
 class Batch(Protocol):
@@ -125,16 +133,27 @@ def make_robosuite_env(
     horizon: int | None,
     seed: int,
     threads: int | None,
+    exact: bool,
     on_divergence: OnDivergence,
     options: Mapping[str, Any],
     effects: EffectsFile | None = None,
 ) -> RobosuiteEnv:
-    """Return a robosuite task as a TorchRL environment; see `rlco.envs.make_env`."""
+    """Return a robosuite task as a TorchRL environment; see `rlco.envs.make_env`.
+
+    Raises:
+        UnknownNameError: If robosuite has no such environment, option or robot.
+        RlcoError: If it has more than one arm, or an option is `make_env`'s own.
+    """
+    check_one_arm(name)
+    for option, advice in _OURS.items():
+        if option in options:
+            given = {option: options[option]}
+            raise RlcoError(f"robosuite_options={given!r} is not allowed; {advice}.")
+    check_options(name, options)
 
     def make() -> Any:
-        return make_plain(
-            name, effects=effects, **{"reward_shaping": reward == "shaped", **options}
-        )
+        shaped = reward == "shaped"
+        return make_plain(name, effects=effects, reward_shaping=shaped, **options)
 
     wanted = [*STATE, ENVIRONMENT_STATE]
     first = make()
@@ -145,6 +164,7 @@ def make_robosuite_env(
             first,
             num_envs=num_envs,
             threads=threads,
+            exact=exact,
             observations=wanted,
             on_divergence="mark",
         )

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
+import mujoco
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -20,8 +21,11 @@ class Stepper(Protocol):
     """What a backend offers: N copies of a task's model."""
 
     @property
-    def model(self) -> object:
+    def model(self) -> mujoco.MjModel:
         """The compiled model."""
+
+    def model_of(self, number: int) -> mujoco.MjModel:
+        """Return one copy's own model; valid until the next call."""
 
     @property
     def data(self) -> Sequence[object]:
@@ -139,7 +143,8 @@ class TabletopEnv(ChunkEnv):
         """Renew the frames of the copies that have moved."""
         if self._camera is not None:
             for env in which.tolist():
-                self._images[env] = self._camera.frame(self.stepper.data[env])
+                data, model = self.stepper.data[env], self.stepper.model_of(env)
+                self._images[env] = self._camera.frame(data, model=model)
 
     def _seen(self) -> dict[str, torch.Tensor]:
         row = -(-self._elapsed // self.chunk)

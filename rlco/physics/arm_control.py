@@ -151,7 +151,10 @@ def refuse_unsupported(env: Any) -> None:
     """
     name = type(env).__name__
     if len(env.robots) != 1 or len(env.robots[0].arms) != 1:
-        raise _unsupported(name, "more than one arm", "use an environment with one")
+        raise RlcoError(
+            f"{name}: the native backend does not support more than one arm; use an "
+            "environment with one."
+        )
     robot = env.robots[0]
     if type(robot) is not FixedBaseRobot:
         raise _unsupported(

@@ -53,7 +53,8 @@ class Camera:
     from a camera that does not move, meshes lose detail smaller than a pixel.
 
     All cameras of a process share one OpenGL context. Meshes and textures are taken
-    from the model once, colours and poses at every frame.
+    from the model once; colours, lights and poses at every frame, from the model that
+    the frame is given.
 
     Args:
         model: The compiled model.
@@ -115,14 +116,21 @@ class Camera:
         return model
 
     def frame(
-        self, data: Any, *, yaw: float = 0.0, shift: tuple[float, float] = (0.0, 0.0)
+        self,
+        data: Any,
+        *,
+        model: mujoco.MjModel | None = None,
+        yaw: float = 0.0,
+        shift: tuple[float, float] = (0.0, 0.0),
     ) -> NDArray[np.uint8]:
         """Return the present frame of a copy, uint8, shape (3, height, width).
 
-        The copy's state is as before when it returns.
+        The copy's model and state are as before when it returns.
 
         Args:
             data: The copy's state.
+            model: The copy's own model, where it differs in numbers alone from the
+                camera's (`rlco.physics.copies.Copies.model_of`).
             yaw: As in `move_camera`, for this frame [rad].
             shift: As in `move_camera`, for this frame [m].
 
@@ -131,9 +139,10 @@ class Camera:
         """
         if not self._free.alive:
             raise RlcoError("this camera is closed; make another one.")
-        with self._placed(data, yaw, shift), self._culled(data):
+        model = self._model if model is None else model
+        with self._placed(data, yaw, shift), self._culled(model, data):
             mujoco.mjv_updateScene(
-                self._model,
+                model,
                 data,
                 self._options,
                 None,
@@ -170,9 +179,8 @@ class Camera:
             position[:], matrix[:] = before
 
     @contextlib.contextmanager
-    def _culled(self, data: Any) -> Iterator[None]:
+    def _culled(self, model: mujoco.MjModel, data: Any) -> Iterator[None]:
         """Leave out, for a while, what cannot be in the frame."""
-        model = self._model
         # Intrinsics given as a sensor's, and parallel projection, are left alone.
         plain = not (
             model.cam_sensorsize[self._id].any() or model.cam_projection[self._id]

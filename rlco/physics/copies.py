@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
@@ -12,8 +12,14 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.errors import RlcoError, UnknownNameError
 from rlco.physics.arm_control import Array, Control, Integers
+from rlco.physics.copy_checks import (
+    check_threads,
+    checked_copies,
+    checked_delay,
+    checked_fields,
+    checked_gains,
+)
 from rlco.physics.copy_memory import FIELDS, Memory
 from rlco.physics.libmujoco import address_of
 from rlco.physics.model_struct import ModelCopy, array_fields, reserve_memory
@@ -32,6 +38,9 @@ class Copies:
         threads: Python threads; by default one a core, at most `num_envs`.
         command_delay: Control steps between a command and its execution.
         believed: The model that the controller computes with, where that is another.
+
+    Raises:
+        RlcoError: If `threads` is less than 1.
     """
 
     def __init__(
@@ -45,6 +54,7 @@ class Copies:
         command_delay: int = 0,
         believed: mujoco.MjModel | None = None,
     ) -> None:
+        check_threads(threads)
         self.control = control
         self.num_envs = num_envs
         self.model = _own(model)
@@ -87,6 +97,7 @@ class Copies:
         self._models: dict[int, ModelCopy] = {}
         self.restore_models(np.arange(num_envs))
         self._compiler: tuple[mujoco.MjModel, mujoco.MjData] | None = None
+        self._compiled_arrays: set[str] = set()
         count = min(threads or os.cpu_count() or 1, num_envs)
         self._pool = ThreadPoolExecutor(count) if count > 1 else None
         # Several ranges a thread: copies in contact take longer than others.
@@ -119,7 +130,7 @@ class Copies:
 
     def randomise(
         self,
-        which: Integers,
+        which: Integers | Sequence[int],
         fields: Mapping[str, NDArray[Any]] | None = None,
         *,
         stiffness: NDArray[Any] | float | None = None,
@@ -129,44 +140,51 @@ class Copies:
         """Change the copies `which` alone, until told otherwise.
 
         Args:
-            which: Indices of copies, shape (R,).
+            which: Indices of copies, shape (R,), each once.
             fields: Arrays of the model by MuJoCo's name (``body_mass``), of the
-                model's shape, or with a leading axis (R,) of one value a copy. What
-                MuJoCo derives from them (``mj_setConst``) follows.
-            stiffness: The controller's, broadcast to (R, D). Damping keeps its ratio
-                to critical damping where it is not given.
-            damping: The controller's, broadcast to (R, D).
+                model's shape, or with a leading axis (R,) of one value a copy; those
+                of `rlco.physics.copy_checks.PATCHABLE`. What MuJoCo derives from them
+                (``mj_setConst``) follows.
+            stiffness: The controller's: a number, one a copy (R,), or one an axis,
+                broadcast to (R, D). Damping keeps its ratio to critical damping where
+                it is not given.
+            damping: The controller's, in the same shapes.
             command_delay: Control steps between a command and its execution,
-                broadcast to (R,).
+                broadcast to (R,); commands that are pending are dropped.
 
         Raises:
-            RlcoError: If a name or a shape is not the model's, or a delay negative.
+            RlcoError: If a name, a shape or a number is not allowed; nothing has
+                changed then.
         """
-        if fields:
-            self.patch_model(which, fields, derive=True)
-        self.set_gains(which, stiffness, damping)
-        if command_delay is not None:
-            self.set_delay(which, command_delay)
+        # All is checked before anything changes.
+        rows = checked_copies(which, self.num_envs)
+        count, axes = rows.size, self.memory.stiffness.shape[1]
+        values = checked_fields(self.model, fields or {}, count)
+        stiff = checked_gains("stiffness", stiffness, count, axes, zero=False)
+        damp = checked_gains("damping", damping, count, axes, zero=True)
+        delay = checked_delay(command_delay, count)
+        if values:
+            self.patch_model(rows, values, derive=True)
+        self._set_gains(rows, stiff, damp)
+        if delay is not None:
+            self._set_delay(rows, delay)
 
     def patch_model(
-        self, which: Integers, fields: Mapping[str, NDArray[Any]], *, derive: bool
+        self, which: Integers, values: Mapping[str, NDArray[Any]], *, derive: bool
     ) -> None:
-        """Give the copies `which` their own values of arrays of the model.
+        """Give the copies `which` their own values of arrays of the model, unchecked.
 
         Args:
             which: Indices of copies, shape (R,).
-            fields: Arrays by MuJoCo's name, of the model's shape, or with a leading
-                axis (R,) of one value a copy.
+            values: Arrays by MuJoCo's name, of the model's shape with a leading axis
+                (R,).
             derive: Recompute what MuJoCo derives from masses and the like
                 (``mj_setConst``).
-
-        Raises:
-            RlcoError: If a name or a shape is not the model's.
         """
         for row, number in enumerate(which.tolist()):
             own = self._own_model(number)
-            for name, value in fields.items():
-                own.set_array(name, self._row(name, value, row, len(which)))
+            for name, value in values.items():
+                own.set_array(name, value[row])
                 if name == "dof_frictionloss":
                     self.memory.coulomb[number] = own.arrays[name]
             if derive:
@@ -181,37 +199,27 @@ class Copies:
             return self.model
         return self._compiled(self._models[number])[0]
 
-    def set_gains(
-        self,
-        which: Integers,
-        stiffness: NDArray[Any] | float | None,
-        damping: NDArray[Any] | float | None,
+    def _set_gains(
+        self, which: Integers, stiffness: Array | None, damping: Array | None
     ) -> None:
         """Set the controller's gains; damping keeps its ratio where it is not given."""
         memory = self.memory
         if stiffness is not None:
             ratio = memory.damping[which] / np.sqrt(memory.stiffness[which])
             memory.stiffness[which] = stiffness
-            memory.damping[which] = ratio * np.sqrt(memory.stiffness[which])
+            memory.damping[which] = ratio * np.sqrt(stiffness)
         if damping is not None:
             memory.damping[which] = damping
 
-    def set_delay(self, which: Integers, delay: NDArray[Any] | int) -> None:
-        """Set the command delay [control steps]; what is pending is dropped.
-
-        Raises:
-            RlcoError: If a delay is negative.
-        """
-        values = np.broadcast_to(np.asarray(delay, dtype=np.int64), which.shape)
-        if values.min(initial=0) < 0:
-            raise RlcoError(f"command_delay={delay} is not allowed; give 0 or more.")
-        most = int(values.max(initial=0)) + self.control.acting.whole
+    def _set_delay(self, which: Integers, delay: Integers) -> None:
+        """Set the command delay [control steps]; what is pending is dropped."""
+        most = int(delay.max(initial=0)) + self.control.acting.whole
         longest = max(most, self.memory.pending.shape[1])
         pending = np.zeros((self.num_envs, longest, self.control.action_size))
         pending[:, : self.memory.pending.shape[1]] = self.memory.pending
         pending[which] = 0.0
         self.memory = self.memory._replace(pending=pending)
-        self.memory.delay[which] = values
+        self.memory.delay[which] = delay
 
     def restore_models(self, which: Integers) -> None:
         """Let the copies `which` have the common model again."""
@@ -232,32 +240,18 @@ class Copies:
             self.memory.models[number] = self._models[number].address
         return self._models[number]
 
-    def _row(self, name: str, given: Any, row: int, rows: int) -> NDArray[Any]:
-        if name not in array_fields():
-            raise UnknownNameError("array of mjModel", name, array_fields())
-        value: NDArray[Any] = np.asarray(given)
-        shape = getattr(self.model, name).shape
-        if value.shape == shape:
-            return value
-        if value.shape == (rows, *shape):
-            value = value[row]
-            return value
-        raise RlcoError(
-            f"{name} has shape {value.shape}; give {shape}, or {(rows, *shape)} for "
-            "one value a copy."
-        )
-
     def _compiled(self, own: ModelCopy) -> tuple[mujoco.MjModel, mujoco.MjData]:
         """Return a whole model with a copy's arrays, and data to compute with."""
         if self._compiler is None:
             model = copy.copy(self.model)
             self._compiler = model, mujoco.MjData(model)
         model = self._compiler[0]
-        for name in array_fields():
-            source = own.arrays.get(name)
-            getattr(model, name)[:] = (
-                getattr(self.model, name) if source is None else (source)
-            )
+        for name in self._compiled_arrays - set(own.arrays):
+            getattr(model, name)[:] = getattr(self.model, name)
+        for name, value in own.arrays.items():
+            getattr(model, name)[:] = value
+        own.give_statistics(model)
+        self._compiled_arrays = set(own.arrays)
         return self._compiler
 
     def _derive(self, own: ModelCopy) -> None:
@@ -265,9 +259,11 @@ class Copies:
         mujoco.mj_setConst(model, data)
         for name in array_fields():
             value = getattr(model, name)
-            if not np.array_equal(value, getattr(self.model, name)):
+            changed = not np.array_equal(value, getattr(self.model, name))
+            if changed or name in own.arrays:  # or it was changed before
                 own.set_array(name, value)
-        own.set_statistics(model)
+        self._compiled_arrays = set(own.arrays)
+        own.take_statistics(model)
 
 
 def _own(model: mujoco.MjModel) -> mujoco.MjModel:

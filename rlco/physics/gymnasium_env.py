@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from typing import Any, Literal, get_args
 
 import gymnasium
@@ -9,17 +10,19 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from rlco.errors import RlcoError, UnknownNameError
+from rlco.errors import RlcoError, SimulationError, UnknownNameError
 from rlco.physics.camera import Camera, Quality, check_quality
+from rlco.physics.copy_checks import check_native
 from rlco.physics.domain import Domain, make_domain
 from rlco.physics.native import NativeStepper
 from rlco.physics.observation import ACTION_NAMES, STATE_NAMES, noise_size, observe
 from rlco.physics.robosuite_stepper import RobosuiteStepper
 from rlco.physics.task import SceneState, Task, make_task
-from rlco.physics.variations import domain_in
+from rlco.physics.variations import check_variation_of, domain_in
 
 ObservationKind = Literal["state", "pixels_agent_pos"]
 Observation = dict[str, NDArray[Any]]
+_logger = logging.getLogger(__name__)
 _CHOICES = {
     "backend": ("native", "robosuite"),
     "reward": ("shaped", "sparse"),
@@ -34,12 +37,16 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     Observations carry the names that LeRobot reads: ``agent_pos`` (S,) is the robot's
     state, ``environment_state`` (E,) the objects as a camera would report them,
     ``pixels`` (height, width, 3) a camera frame. An action is 7 numbers in [-1, 1].
-    ``info`` holds ``is_success``, whether the task is solved in this very state, and
-    ``instruction_id``; the attribute `task_description` is the episode's instruction,
-    and `instructions` lists all there are.
+    ``info`` holds ``is_success``, whether the task is solved in this very state,
+    ``instruction_id`` and ``diverged``; the attribute `task_description` is the
+    episode's instruction, and `instructions` lists all there are.
 
     Episodes are truncated at the horizon. Success does not end them unless
     `terminate_on_success`: a task counts as solved when it is solved at the end.
+
+    An episode whose simulation diverges is truncated there, with reward 0, its last
+    sound observation, and ``diverged`` in its ``info``; the next reset starts the next
+    one. The first is logged, `divergences` counts them.
 
     ``reset(seed=s)`` starts the first episode of seed s, and each reset without a
     seed the next one; they are those of ``make_env(..., num_envs=1, chunk=1, seed=s)``,
@@ -49,7 +56,9 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
     Args:
         task: A task or its name.
         domain: A domain or its name: ``sim`` or ``stand_in``.
-        backend: ``native`` or ``robosuite``; the motion is the same.
+        backend: ``native`` or ``robosuite``. The motion is the same up to rounding,
+            which contacts enlarge; with ``exact=True`` to the last bit.
+        exact: As in `rlco.envs.make_env`.
         reward: ``shaped`` or ``sparse``.
         horizon: Episode length in control steps; the task's own by default.
         variation: A named variation of the scene, one of the task's.
@@ -60,9 +69,12 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         terminate_on_success: End an episode, as ``terminated``, when it is solved.
         render_mode: ``rgb_array``, or None.
 
+    Attributes:
+        divergences: How many simulations have diverged since construction.
+
     Raises:
         UnknownNameError: If a name is unknown.
-        RlcoError: If a number is out of range.
+        RlcoError: If a number is out of range, or options do not go together.
         RenderingError: If frames are asked for and nothing can render.
 
     Example:
@@ -84,6 +96,7 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         *,
         domain: str | Domain = "sim",
         backend: Literal["native", "robosuite"] = "native",
+        exact: bool = False,
         reward: Literal["shaped", "sparse"] = "shaped",
         horizon: int | None = None,
         variation: str | None = None,
@@ -101,11 +114,16 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         }
         _check(given, horizon, image_size)
         check_quality(image_quality)
+        pictures = render_mode is not None or obs_type == "pixels_agent_pos"
+        if image_quality != "fast" and not pictures:
+            raise RlcoError(
+                f"image_quality={image_quality!r} is of no use without images; give "
+                "render_mode='rgb_array' or obs_type='pixels_agent_pos'."
+            )
+        check_native(backend, threads=None, exact=exact)
         self._task = make_task(task)
-        self._domain = make_domain(domain)
-        # An unknown variation shows before anything is built.
-        self._task.sample(np.random.default_rng(0), variation)
-        self._domain = domain_in(self._domain, variation)
+        check_variation_of(self._task, variation)
+        self._domain = domain_in(make_domain(domain), variation)
         self.task = self._task.name
         self.instructions = self._task.instructions
         self.task_description = self.instructions[0]
@@ -119,11 +137,14 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._variation = variation
         self._obs_type = obs_type
         self._terminate = terminate_on_success
-        build = NativeStepper if backend == "native" else RobosuiteStepper
-        self.stepper = build(self._task, self._domain, num_envs=1, variation=variation)
+        self.stepper = _stepper(self._task, self._domain, backend, exact, variation)
+        self.divergences = 0
+        self._diverged = False
+        self._seen: Observation = {}
         self._image_size = image_size
+        self._picture: NDArray[np.uint8] = np.zeros((*image_size, 3), np.uint8)
         self._camera: Camera | None = None
-        if render_mode is not None or obs_type == "pixels_agent_pos":
+        if pictures:
             self._camera = Camera(self.stepper.model, image_size, quality=image_quality)
         self._seed: int | None = None
         self._episode = 0
@@ -163,7 +184,7 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         start = self._task.sample(rng, self._variation)
         noise = np.random.default_rng([self._seed, episode, 1])
         self._noise[:] = noise.standard_normal(self._noise.shape)
-        self._episode, self._elapsed = episode + 1, 0
+        self._episode, self._elapsed, self._diverged = episode + 1, 0, False
         state = self.stepper.reset([start]).at(0)
         self.task_description = self.instructions[int(state.instruction_id)]
         return self._observe(state), self._info(state)
@@ -175,7 +196,6 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
         Raises:
             RlcoError: If an action is NaN or infinite, or has another shape than (7,).
-            SimulationError: If the simulation diverges.
         """
         numbers = np.asarray(action, dtype=np.float64)
         if numbers.shape != self.action_space.shape:
@@ -185,11 +205,28 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         states = self.stepper.step(numbers[None, None])
         before, after = states.at((0, 0)), states.at((0, 1))
         self._elapsed += 1
+        if self.stepper.diverged[0]:
+            return self._cut_off(after)
         reward = float(self._task.reward(before, after, self._reward_kind))
         info = self._info(after)
         terminated = self._terminate and info["is_success"]
         truncated = self._elapsed >= self._max_episode_steps
         return self._observe(after), reward, terminated, truncated, info
+
+    def _cut_off(
+        self, last: SceneState
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Return the end of an episode whose simulation diverged, and count it."""
+        if not self.divergences:
+            _logger.warning(
+                "%s; it is cut off. Later ones are only counted, in `divergences`.",
+                str(SimulationError(self.task, [0])).rstrip("."),
+            )
+        self.divergences += not self._diverged
+        self._diverged = True
+        info = {**self._info(last), "is_success": False, "diverged": True}
+        seen = {name: value.copy() for name, value in self._seen.items()}
+        return seen, 0.0, False, True, info
 
     def _observe(self, state: SceneState) -> Observation:
         # A step beyond the horizon is the caller's choice; it sees the last noise.
@@ -200,6 +237,7 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             out["environment_state"] = environment.astype(np.float32)
         else:
             out["pixels"] = self._frame()
+        self._seen = {name: value.copy() for name, value in out.items()}
         return out
 
     def _info(self, state: SceneState) -> dict[str, Any]:
@@ -207,13 +245,17 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         return {
             "is_success": bool(self._task.success(state)),
             "instruction_id": int(state.instruction_id),
+            "diverged": False,
         }
 
     def _frame(self) -> NDArray[np.uint8]:
         if self._camera is None:
             raise RlcoError("the environment is closed; make a new one to render.")
-        frame = self._camera.frame(self.stepper.data[0])
-        return np.ascontiguousarray(frame.transpose(1, 2, 0))
+        if not self._diverged:  # else the last picture: there is no pose to draw
+            data, model = self.stepper.data[0], self.stepper.model_of(0)
+            frame = self._camera.frame(data, model=model)
+            self._picture = np.ascontiguousarray(frame.transpose(1, 2, 0))
+        return self._picture.copy()
 
     def render(self) -> NDArray[np.uint8] | None:
         """Return the present frame (height, width, 3), or None without a mode."""
@@ -224,6 +266,16 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self._camera is not None:
             self._camera.close()
             self._camera = None
+
+
+def _stepper(
+    task: Task, domain: Domain, backend: str, exact: bool, variation: str | None
+) -> NativeStepper | RobosuiteStepper:
+    """Return one copy of a task, which marks that it has diverged."""
+    options: dict[str, Any] = {"variation": variation, "on_divergence": "mark"}
+    if backend == "robosuite":
+        return RobosuiteStepper(task, domain, num_envs=1, **options)
+    return NativeStepper(task, domain, num_envs=1, exact=exact, **options)
 
 
 def _check(

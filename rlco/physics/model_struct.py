@@ -110,10 +110,13 @@ class ModelCopy:
             setattr(self._struct, name, address_of(self.arrays[name]))
         self.arrays[name][:] = value
 
-    def set_statistics(self, model: mujoco.MjModel) -> None:
+    def take_statistics(self, model: mujoco.MjModel) -> None:
         """Take over another model's statistics, which MuJoCo's solver scales by."""
-        other = model_type().from_address(model._address)
-        self._struct.stat = other.stat
+        self._struct.stat = model_type().from_address(model._address).stat
+
+    def give_statistics(self, model: mujoco.MjModel) -> None:
+        """Write the copy's statistics into a whole model."""
+        model_type().from_address(model._address).stat = self._struct.stat
 
 
 def reserve_memory(model: mujoco.MjModel, size: int) -> None:

@@ -7,7 +7,8 @@ from functools import cache
 
 from rlco.errors import RlcoError
 from rlco.physics.domain import make_domain
-from rlco.physics.robosuite_tasks import PREFIX, RobosuiteTask, make_plain
+from rlco.physics.robosuite_options import PREFIX, check_one_arm
+from rlco.physics.robosuite_tasks import RobosuiteTask, make_plain
 from rlco.physics.task import Task, make_task
 
 
@@ -19,6 +20,7 @@ def named_task(task: str | Task) -> Task | RobosuiteTask:
 
     Raises:
         UnknownNameError: If there is no such task.
+        RlcoError: If it is one of robosuite's with more than one arm.
 
     Example:
         >>> named_task("robosuite:Lift").instructions
@@ -50,6 +52,7 @@ def check_domains(task: str, domains: Iterable[str]) -> None:
 
 @cache
 def _of_robosuite(name: str) -> RobosuiteTask:
+    check_one_arm(name)
     env = make_plain(name)
     try:
         env.reset()

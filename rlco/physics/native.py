@@ -9,7 +9,7 @@ rounding that matters, comes in robosuite's order; a test compares the motions.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Literal
 
@@ -102,6 +102,10 @@ class NativeStepper:
     def model(self) -> mujoco.MjModel:
         """The compiled model of all copies."""
         return self.copies.model
+
+    def model_of(self, number: int) -> mujoco.MjModel:
+        """Return one copy's model, for pictures of it; valid until the next call."""
+        return self.copies.model_of(number)
 
     @property
     def data(self) -> list[mujoco.MjData]:
@@ -204,14 +208,18 @@ class NativeStepper:
 
     def randomise(
         self,
-        which: NDArray[np.int64],
+        which: NDArray[np.int64] | Sequence[int],
         fields: Mapping[str, NDArray[Any]] | None = None,
         *,
         stiffness: NDArray[Any] | float | None = None,
         damping: NDArray[Any] | float | None = None,
         command_delay: NDArray[Any] | int | None = None,
     ) -> None:
-        """Change the copies `which` alone, until told otherwise; see `Copies`."""
+        """Change the copies `which` alone, until told otherwise; see `Copies`.
+
+        Raises:
+            RlcoError: If a name, a shape or a number is not allowed.
+        """
         self.copies.randomise(
             which,
             fields,

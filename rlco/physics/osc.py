@@ -4,7 +4,8 @@ Khatib, "A unified approach for motion and force control of robot manipulators:
 the operational space formulation", IEEE J. Robotics and Automation 3(1), 1987.
 robosuite's variant (its ``OSC_POSE``): position and orientation uncoupled, gravity
 compensated, null space pulled to the initial posture. Same order of operations
-where rounding matters, so that both backends give the same motion to 1e-9.
+where rounding matters, so that both backends give the same motion up to rounding,
+and with ``exact=True`` to the last bit.
 """
 
 from __future__ import annotations

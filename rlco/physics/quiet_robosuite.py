@@ -28,6 +28,7 @@ try:
         )
         from robosuite.controllers.parts.gripper.simple_grip import SimpleGripController
         from robosuite.environments.manipulation.manipulation_env import ManipulationEnv
+        from robosuite.environments.manipulation.two_arm_env import TwoArmEnv
         from robosuite.models.arenas import TableArena
         from robosuite.models.base import MujocoModel
         from robosuite.models.grippers import (
@@ -42,7 +43,7 @@ try:
         )
         from robosuite.models.objects import MujocoObject
         from robosuite.models.tasks import ManipulationTask
-        from robosuite.robots import FixedBaseRobot
+        from robosuite.robots import ROBOT_CLASS_MAPPING, FixedBaseRobot
         from robosuite.utils.binding_utils import MjSim
         from robosuite.utils.control_utils import nullspace_torques, opspace_matrices
         from robosuite.utils.observables import NO_CORRUPTION, NO_DELAY, NO_FILTER
@@ -57,6 +58,7 @@ __all__ = [
     "NO_CORRUPTION",
     "NO_DELAY",
     "NO_FILTER",
+    "ROBOT_CLASS_MAPPING",
     "BDGripper",
     "FixedBaseRobot",
     "JacoThreeFingerGripper",
@@ -74,6 +76,7 @@ __all__ = [
     "Robotiq140Gripper",
     "SimpleGripController",
     "TableArena",
+    "TwoArmEnv",
     "WipingGripper",
     "load_composite_controller_config",
     "nullspace_torques",

@@ -205,7 +205,7 @@ class RobosuiteBatch:
 
     def randomise(
         self,
-        which: NDArray[np.int64],
+        which: NDArray[np.int64] | Sequence[int],
         fields: Mapping[str, NDArray[Any]] | None = None,
         *,
         stiffness: NDArray[Any] | float | None = None,
@@ -215,6 +215,9 @@ class RobosuiteBatch:
         """Change the copies `which` alone; see `rlco.physics.copies.Copies`.
 
         Resets keep the change, but for arrays that the task's own reset writes.
+
+        Raises:
+            RlcoError: If a name, a shape or a number is not allowed.
         """
         self.copies.randomise(
             which,
@@ -228,8 +231,8 @@ class RobosuiteBatch:
         """Keep what robosuite has just placed as the start of one copy's episode."""
         source, memory = self.source, self.copies.memory
         if source.reset_fields:
-            fields = {name: getattr(source.model, name) for name in source.reset_fields}
-            self.copies.patch_model(np.array([number]), fields, derive=False)
+            values = {n: getattr(source.model, n)[None] for n in source.reset_fields}
+            self.copies.patch_model(np.array([number]), values, derive=False)
         posture = self.data[number].qpos[self.copies.control.arm_qpos]
         memory.posture[number] = posture
         memory.grip[number] = 0.0

@@ -81,6 +81,11 @@ class RobosuiteStepper:
         self.diverged = np.zeros(num_envs, dtype=np.bool_)
         self._present: list[SceneState] = []
 
+    def model_of(self, number: int) -> mujoco.MjModel:
+        """Return one environment's own model, for pictures of it."""
+        model: mujoco.MjModel = self.envs[number].sim.model._model
+        return model
+
     def reset(
         self, initial: list[InitialState], which: NDArray[np.int64] | None = None
     ) -> SceneState:

@@ -7,24 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from rlco.errors import RlcoError, UnknownNameError
+from rlco.errors import RlcoError
 from rlco.physics.effect_sim import initialize_with
 from rlco.physics.effects.apply import EffectError, library_effect
 from rlco.physics.effects.effects_file import EffectsFile
 from rlco.physics.global_random import seeded
 from rlco.physics.mended_model import without_effects
-from rlco.physics.quiet_robosuite import robosuite
+from rlco.physics.robosuite_options import (
+    DEFAULTS,
+    FIXED,
+    check_options,
+    environment_class,
+    two_arms,
+)
+from rlco.physics.robosuite_options import PREFIX as PREFIX
 
-PREFIX = "robosuite:"
-# What the environments here decide themselves.
-_FIXED: dict[str, Any] = {
-    "has_renderer": False,
-    "has_offscreen_renderer": False,
-    "use_camera_obs": False,
-    "hard_reset": False,
-    "ignore_done": True,
-    "renderer": "mujoco",
-}
 # robosuite's observations that make up `state`, and `environment_state`.
 STATE = ("robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos")
 ENVIRONMENT_STATE = "object-state"
@@ -41,7 +38,6 @@ _INSTRUCTIONS = {
     "PickPlaceMilk": "put the milk into its bin",
     "Stack": "put the red cube on the green cube",
 }
-_DEFAULTS: dict[str, Any] = {"robots": "Panda"}
 
 
 @dataclass(frozen=True)
@@ -69,7 +65,13 @@ class RobosuiteTask:
 
     @staticmethod
     def of(name: str, env: Any) -> RobosuiteTask:
-        """Describe the task of an environment that was reset."""
+        """Describe the task of an environment that was reset.
+
+        Raises:
+            RlcoError: If it has more than one arm.
+        """
+        if len(env.robots) != 1 or len(env.robots[0].arms) != 1:
+            raise two_arms(name)
         seen = env._get_observations()
         objects = [
             name
@@ -121,30 +123,33 @@ def make_plain(
         options: robosuite's own, such as ``robots="UR5e"``.
 
     Raises:
-        UnknownNameError: If robosuite has no such environment.
-        RlcoError: If an option is one that is decided here, or an effect cannot be
-            applied.
+        UnknownNameError: If robosuite has no such environment, option or robot.
+        RlcoError: If an option is one that is decided here, or has a value that
+            robosuite does not take, or an effect cannot be applied.
 
     Example:
         >>> make_plain("Lift", robots="UR5e").action_dim
         7
     """
-    known = sorted(robosuite.ALL_ENVIRONMENTS)
-    if name not in known:
-        raise UnknownNameError("robosuite environment", name, known)
-    for option in options:
-        if option in _FIXED and options[option] != _FIXED[option]:
-            raise RlcoError(
-                f"{option}={options[option]!r} is not allowed for {PREFIX}{name}; "
-                f"leave it out, it is {_FIXED[option]!r}."
-            )
-    kind = robosuite.environments.REGISTERED_ENVS[name]
+    kind = environment_class(name)
+    check_options(name, options)
     env = kind.__new__(kind)
     if effects is not None:
         # robosuite's constructor compiles the model by this method.
         env._initialize_sim = _WithEffects(env, effects)
-    with seeded(seed):
-        env.__init__(**{**_DEFAULTS, **options, **_FIXED})
+    given = {**DEFAULTS, **options}
+    try:
+        with seeded(seed):
+            env.__init__(**{**given, **FIXED})
+    except RlcoError:
+        raise
+    # What robosuite raises for values that it does not take differs by option.
+    except (AssertionError, KeyError, TypeError, ValueError) as error:
+        reason = " ".join(str(error).split()).rstrip(".") or type(error).__name__
+        raise RlcoError(
+            f"robosuite does not build {name} with the options {', '.join(given)} as "
+            f"given ({reason}); change them."
+        ) from error
     return env
 
 

@@ -212,7 +212,8 @@ def make_task(task: str | Task) -> Task:
 
     Raises:
         UnknownNameError: If there is no task of that name.
-        RlcoError: If the module cannot be imported, or holds no such task.
+        RlcoError: If the module cannot be imported, or holds no such task, or the name
+            is of one of robosuite's own tasks.
 
     Example:
         >>> make_task("push_cube").horizon
@@ -231,6 +232,12 @@ def make_task(task: str | Task) -> Task:
 
 
 def _task_of_module(module: str, name: str) -> Task:
+    if module == "robosuite":
+        raise RlcoError(
+            f"'{module}:{name}' is robosuite's own task, without a scripted expert and "
+            "domains, which make_env, sft, rl_co and evaluate take; here give one of "
+            f"{', '.join(TASK_NAMES)}, or MODULE:NAME of yours."
+        )
     try:
         found = getattr(importlib.import_module(module), name, None)
     except ModuleNotFoundError as error:

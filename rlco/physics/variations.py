@@ -13,7 +13,7 @@ import numpy as np
 
 from rlco.errors import UnknownNameError
 from rlco.physics.domain import Domain
-from rlco.physics.task import Array, InitialState
+from rlco.physics.task import Array, InitialState, Task
 
 VARIATIONS = ("shapes", "colours", "initial_states", "distractors", "camera")
 CAMERA_YAW = 0.10  # added to the domain's own [rad]
@@ -41,6 +41,20 @@ def check_variation(variation: str | None) -> None:
     """
     if variation is not None and variation not in VARIATIONS:
         raise UnknownNameError("variation", variation, VARIATIONS)
+
+
+def check_variation_of(task: Task, variation: str | None) -> None:
+    """Refuse a variation that a task does not have.
+
+    Raises:
+        UnknownNameError: If the variation is not one of the task's.
+
+    Example:
+        >>> from rlco.physics.task import make_task
+        >>> check_variation_of(make_task("push_cube"), "camera")
+    """
+    if variation is not None and variation not in task.variations:
+        raise UnknownNameError("variation", variation, task.variations or ("none",))
 
 
 def domain_in(domain: Domain, variation: str | None) -> Domain:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import gymnasium
@@ -11,29 +12,15 @@ import pytest
 import torch
 from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
+from gymnasium_cases import ID, actions, make
 from torch import nn
 
 import rlco.envs
 from rlco import keys
-from rlco.errors import RenderingError, RlcoError
+from rlco.errors import RlcoError
 from rlco.physics.gymnasium_env import TaskEnv
 from rlco.physics.registration import gymnasium_id, register_tasks
-from rlco.physics.task import TASK_NAMES
-
-ID = "rlco/PushCube-v0"
-
-
-def make(**options: Any) -> Any:
-    """Return the environment, or skip the test where frames cannot be rendered."""
-    try:
-        return gymnasium.make(ID, **options)
-    except RenderingError as error:
-        pytest.skip(f"no OpenGL library: {error}")
-
-
-def actions(steps: int, seed: int = 0) -> np.ndarray[Any, Any]:
-    rng = np.random.default_rng(seed)
-    return rng.uniform(-1, 1, (steps, 7)).astype(np.float32)
+from rlco.physics.task import TASK_NAMES, make_task
 
 
 @pytest.mark.parametrize("task", TASK_NAMES)
@@ -164,6 +151,19 @@ def test_a_vector_of_them_plays_what_single_ones_play() -> None:
         )
 
 
+def test_exact_equals_robosuite_to_the_last_bit() -> None:
+    sequence = actions(6, seed=2)
+    found = []
+    for options in ({"backend": "robosuite"}, {"exact": True}, {"exact": False}):
+        env = make(**options)
+        env.reset(seed=3)
+        for action in sequence:
+            env.step(action)
+        found.append(env.unwrapped.stepper.data[0].qpos.copy())
+    np.testing.assert_array_equal(found[0], found[1])
+    assert (found[0] != found[2]).any()
+
+
 class Expert(nn.Module):
     """LeRobot's interface of a policy, around the scripted expert."""
 
@@ -218,6 +218,15 @@ def test_lerobots_own_rollout_reads_it() -> None:
         ({"horizon": 0}, "horizon=0 is not allowed; give 1 or more"),
         ({"image_size": (0, 3)}, r"image_size=\(0, 3\) is not allowed"),
         ({"image_quality": "best"}, "unknown image quality 'best'"),
+        ({"image_quality": "robosuite"}, "'robosuite' is of no use without images"),
+        ({"exact": True, "backend": "robosuite"}, "exact=True is for backend='native'"),
+        (
+            {
+                "task": replace(make_task("push_cube"), variations=()),
+                "variation": "shapes",
+            },
+            "unknown variation 'shapes'; known: none",
+        ),
     ],
 )
 def test_wrong_arguments_are_refused_in_one_sentence(

@@ -13,7 +13,7 @@ from tensordict import TensorDictBase
 from torchrl.envs.utils import check_env_specs, step_mdp
 
 from rlco.envs import make_env
-from rlco.errors import RlcoError, SimulationError, UnknownNameError
+from rlco.errors import RlcoError, SimulationError
 from rlco.physics.global_random import seeded
 from rlco.physics.robosuite_tasks import make_plain
 
@@ -97,6 +97,36 @@ def test_a_partial_reset_starts_the_next_episode_of_one_environment() -> None:
         ({"domain": "stand_in"}, "domain='stand_in' is not supported"),
         ({"variation": "shapes"}, "variation='shapes' is not supported"),
         ({"robosuite_options": {"robots": "IIWA"}}, "does not support IIWA"),
+        (
+            {"robosuite_options": {"robot": "UR5e"}},
+            "unknown option of robosuite's Lift 'robot' .did you mean 'robots'",
+        ),
+        (
+            {"robosuite_options": {"robots": "UR5"}},
+            "unknown robot 'UR5' .did you mean 'UR5e'",
+        ),
+        ({"robosuite_options": {"robots": 5}}, "robots=5 is not allowed; give a name"),
+        (
+            {"robosuite_options": {"effects": 1}},
+            "{'effects': 1} is not allowed; give effects= of make_env itself",
+        ),
+        (
+            {"reward": "sparse", "robosuite_options": {"reward_shaping": True}},
+            "{'reward_shaping': True} is not allowed; give reward='shaped' or",
+        ),
+        (
+            {"robosuite_options": {"gripper_types": "Hand"}},
+            "does not build Lift with the options .*gripper_types as given",
+        ),
+        (
+            {
+                "task": "robosuite:NutAssemblySquare",
+                "robosuite_options": {"single_object_mode": 1},
+            },
+            "does not build NutAssemblySquare .*invalid set of arguments",
+        ),
+        ({"backend": "robosuite", "exact": True}, "exact=True is for backend='native'"),
+        ({"backend": "robosuite", "threads": 2}, "threads=2 is for backend='native'"),
         ({"on_divergence": "ignore"}, "unknown on_divergence 'ignore'"),
         (
             {"task": "push_cube", "robosuite_options": {"robots": "UR5e"}},
@@ -107,8 +137,50 @@ def test_a_partial_reset_starts_the_next_episode_of_one_environment() -> None:
 def test_what_is_not_supported_is_refused(
     options: dict[str, Any], message: str
 ) -> None:
-    with pytest.raises((RlcoError, UnknownNameError), match=message):
+    with pytest.raises(RlcoError, match=message) as caught:
         make_env(**{"task": LIFT, **options})
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).endswith(".")
+
+
+@BACKENDS
+@pytest.mark.parametrize(
+    ("name", "robots"),
+    [
+        ("TwoArmLift", None),
+        ("TwoArmLift", ["Panda", "Panda"]),
+        ("Lift", ["Panda", "Panda"]),
+    ],
+)
+def test_more_than_one_arm_is_refused_by_both_backends(
+    name: str, robots: Any, backend: Backend
+) -> None:
+    options = {"robots": robots} if robots else None
+    with pytest.raises(RlcoError, match=f"{name} has more than one arm") as caught:
+        make_env(f"robosuite:{name}", backend=backend, robosuite_options=options)
+    # No backend has it, so none is recommended.
+    assert "backend=" not in str(caught.value)
+
+
+def test_options_reach_robosuite() -> None:
+    env = make_env(LIFT, robosuite_options={"robots": "UR5e", "control_freq": 10})
+    assert env.task.control_frequency == 10
+    assert env.backend.model.nq == 6 + 6 + 7  # six joints, six of a gripper, a cube
+    inherited = {"control_freq": 10}  # taken by a base class's constructor
+    square = make_env("robosuite:NutAssemblySquare", robosuite_options=inherited)
+    assert square.task.control_frequency == 10
+
+
+def test_exact_equals_robosuite_to_the_last_bit() -> None:
+    commands = actions(2, 1, 3, seed=5)
+    apart = []
+    slow = make_env(LIFT, chunk=3, seed=4, backend="robosuite")
+    play(slow, commands)
+    for exact in (True, False):
+        env = make_env(LIFT, chunk=3, seed=4, exact=exact)
+        play(env, commands)
+        apart.append(np.abs(env.backend.data[0].qpos - slow.backend.data[0].qpos).max())
+    assert apart[0] == 0.0 < apart[1]
 
 
 # -- A simulation that diverges ------------------------------------------------

@@ -24,6 +24,7 @@ from rlco.envs import make_env, make_robosuite
 from rlco.errors import RlcoError, UnknownNameError
 from rlco.physics.camera import Camera, Quality, move_camera
 from rlco.physics.domain import SIM, Domain
+from rlco.physics.task import TASK_NAMES
 
 pytestmark = NEEDS_GL
 
@@ -42,6 +43,15 @@ def test_robosuite_quality_equals_robosuites_own_observation(domain: Domain) -> 
     for _ in range(3):
         own = own_frame(env, rng.uniform(-1.0, 1.0, 7))
         np.testing.assert_array_equal(camera.frame(data), own)
+    camera.close()
+
+
+@pytest.mark.parametrize("task", TASK_NAMES)
+def test_robosuite_quality_equals_robosuites_own_in_every_task(task: str) -> None:
+    env = make_robosuite(task, seed=6, image_size=SIZE)
+    model, data = scene(env)
+    camera = Camera(model, SIZE, quality="robosuite")
+    np.testing.assert_array_equal(camera.frame(data), own_frame(env))
     camera.close()
 
 
@@ -81,6 +91,39 @@ def test_another_robosuite_task_is_drawn_alike() -> None:
     camera = Camera(model, SIZE, quality="robosuite")
     np.testing.assert_array_equal(camera.frame(data), own)
     camera.close()
+
+
+# -- Copies that differ ------------------------------------------------------------
+
+
+@QUALITIES
+def test_a_copys_own_colours_show_in_its_own_pictures(quality: Quality) -> None:
+    options: dict[str, Any] = {"num_envs": 2, "image_quality": quality}
+    plain = image_env(**options).reset()["observation", "image"]
+    env = image_env(**options)
+    red = np.tile([1.0, 0.0, 0.0, 1.0], (env.stepper.model.ngeom, 1))
+    env.stepper.randomise([0], {"geom_rgba": red})
+    seen = env.reset()["observation", "image"]
+    assert torch.equal(seen[1], plain[1])
+    before, after = (image[0].float() for image in (plain, seen))
+    share = [image[0].sum() / image.sum() for image in (before, after)]
+    assert share[1] > share[0] + 0.1
+    env.stepper.copies.restore_models(np.array([0]))
+    env.start_at(0)
+    assert torch.equal(env.reset()["observation", "image"], plain)
+    env.close()
+
+
+def test_a_copys_own_camera_stands_where_it_is_told() -> None:
+    env = image_env(num_envs=2)
+    plain = env.reset()["observation", "image"]
+    model = env.stepper.model
+    env.stepper.randomise([1], {"cam_pos": np.add(model.cam_pos, (0.0, 0.3, 0.0))})
+    env.start_at(0)
+    seen = env.reset()["observation", "image"]
+    assert torch.equal(seen[0], plain[0])
+    assert (seen[1] != plain[1]).any(dim=0).float().mean() > 0.2
+    env.close()
 
 
 # -- Only what a decision needs, and nothing but pictures -------------------------

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import replace
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 from stepping_cases import TASK, starts
 
-from rlco.errors import RlcoError, UnknownNameError
+from rlco.errors import RlcoError
 from rlco.physics.copies import Copies
 from rlco.physics.domain import SIM, Domain
 from rlco.physics.native import NativeStepper
@@ -82,7 +84,7 @@ def test_a_patch_equals_mujocos_own_compiler() -> None:
 def test_stiffness_and_delay_equal_a_domain_that_has_them() -> None:
     stepper = copies()
     stiff = stepper.copies.memory.stiffness[0] * 0.6
-    stepper.randomise(np.array([1]), stiffness=stiff)
+    stepper.randomise([1], stiffness=stiff[None])
     stepper.randomise(np.array([1, 2]), command_delay=np.array([0, 2]))
     motions = play(stepper)
 
@@ -110,11 +112,162 @@ def test_models_take_memory_only_where_they_differ() -> None:
     assert (stepper.copies.memory.models == addresses[0]).all()
 
 
-def test_wrong_patches_are_refused() -> None:
+def gains(stepper: NativeStepper) -> tuple[np.ndarray, np.ndarray]:
+    memory = stepper.copies.memory
+    return memory.stiffness.copy(), memory.damping.copy()
+
+
+def test_one_gain_a_copy_is_each_copys_on_all_axes() -> None:
+    # Six copies and six axes: not to be taken for one gain an axis.
+    stepper = NativeStepper(TASK, SIM, num_envs=6, threads=1)
+    stiff, damp = gains(stepper)
+    given = np.linspace(50.0, 300.0, 6)
+    stepper.randomise(np.arange(6), stiffness=given)
+    for number in range(6):
+        after = [gain[number] for gain in gains(stepper)]
+        np.testing.assert_array_equal(after[0], np.full(6, given[number]))
+        # Critically damped as before: damping goes with the root of stiffness.
+        root = np.sqrt(given[number] / stiff[number])
+        np.testing.assert_allclose(after[1], damp[number] * root)
+    stepper.randomise(np.arange(6), stiffness=given[None])
+    np.testing.assert_array_equal(gains(stepper)[0], np.tile(given, (6, 1)))
+    stepper.randomise([4, 1], stiffness=[70.0, 90.0])
+    assert gains(stepper)[0][[1, 4], 0].tolist() == [90.0, 70.0]
+
+
+def test_damping_alone_changes_damping_alone_and_the_motion() -> None:
     stepper = copies()
-    with pytest.raises(UnknownNameError, match="did you mean 'body_mass'"):
-        stepper.randomise(ALL, {"body_mas": np.ones(3)})
-    with pytest.raises(RlcoError, match=r"body_mass has shape \(2,\); give"):
-        stepper.randomise(ALL, {"body_mass": np.ones(2)})
-    with pytest.raises(RlcoError, match="command_delay=-1 is not allowed"):
-        stepper.randomise(ALL, command_delay=-1)
+    plain = play(stepper)
+    stiff, damp = gains(stepper)
+    stepper.randomise([1], damping=3.0 * damp[:1])
+    motions = play(stepper)
+    after = gains(stepper)
+    np.testing.assert_array_equal(after[0], stiff)
+    np.testing.assert_array_equal(after[1], damp * [[1.0], [3.0], [1.0]])
+    np.testing.assert_array_equal(motions[0], plain[0])
+    # More damping: the arm, commanded elsewhere at every step, comes less far.
+    home = starts(1)[0].joint_position
+    way = [np.abs(qpos[:7] - home).max() for qpos in (plain[1], motions[1])]
+    assert way[1] < 0.8 * way[0]
+    # With stiffness given too, damping is what it is told, and no ratio.
+    stepper.randomise([1], stiffness=100.0, damping=7.0)
+    assert {gain[1, 0] for gain in gains(stepper)} == {100.0, 7.0}
+
+
+def test_a_patch_taken_back_leaves_nothing_behind() -> None:
+    stepper = copies()
+    before = play(stepper)
+    model = stepper.model
+    heavy = {"body_mass": model.body_mass * 2.0, "body_inertia": model.body_inertia * 2}
+    stepper.randomise([1], heavy)
+    assert np.abs(play(stepper)[1] - before[1]).max() > 1e-6
+    stepper.randomise([1], {name: getattr(model, name) for name in heavy})
+    np.testing.assert_array_equal(play(stepper)[1], before[1])
+
+
+def test_one_copys_model_shows_nothing_of_anothers() -> None:
+    stepper = copies()
+    model = stepper.model
+    stepper.randomise([0], {"body_mass": model.body_mass * 2.0})
+    stepper.randomise([2], {"geom_rgba": np.full(model.geom_rgba.shape, 0.5)})
+    masses = [stepper.model_of(i).body_mass.copy() for i in (0, 2, 1)]
+    np.testing.assert_array_equal(masses[0], 2.0 * model.body_mass)
+    np.testing.assert_array_equal(masses[1:], [model.body_mass] * 2)
+    means = [stepper.model_of(i).stat.meanmass for i in (0, 2, 1)]
+    assert means[0] == pytest.approx(2.0 * means[1])
+    assert means[1] == means[2] == model.stat.meanmass
+
+
+@functools.cache
+def refusing() -> NativeStepper:
+    return copies()
+
+
+NAN = float("nan")
+
+
+@pytest.mark.parametrize(
+    ("which", "changes", "message"),
+    [
+        ([0, 99], {}, r"which=\[0, 99\] is not allowed; give indices from 0 to 2"),
+        ([-1], {}, r"which=\[-1\] is not allowed; give indices from 0 to 2"),
+        ([1, 1], {}, "from 0 to 2, each once"),
+        ([0.5], {}, r"give indices of copies, shape \(R,\)"),
+        ([True, False, True], {}, r"give indices of copies, shape \(R,\)"),
+        (2, {}, r"which=2 is not allowed; give indices of copies, shape \(R,\)"),
+        (ALL, {"stiffness": -1.0}, "stiffness=-1.0 is not allowed; give more than 0"),
+        (ALL, {"stiffness": 0.0}, "stiffness=0.0 is not allowed; give more than 0"),
+        (ALL, {"stiffness": NAN}, "stiffness holds NaN or infinity"),
+        (ALL, {"stiffness": "stiff"}, "stiffness='stiff' is not allowed; give an arr"),
+        (ALL, {"stiffness": np.ones(6)}, r"shape \(6,\); .* \(3,\) for one a copy"),
+        (ALL, {"damping": -1.0}, "damping=-1.0 is not allowed; give 0 or more"),
+        (ALL, {"damping": np.ones((6, 3))}, r"damping has shape \(6, 3\); .* \(3, 6\)"),
+        (ALL, {"command_delay": -1}, "command_delay=-1 is not allowed; give 0 or more"),
+        (ALL, {"command_delay": 0.5}, "command_delay=0.5 is not allowed; .* whole"),
+        (ALL, {"command_delay": [1, 2]}, r"command_delay has shape \(2,\); .* \(3,\)"),
+    ],
+)
+def test_what_is_refused_changes_nothing(
+    which: Any, changes: dict[str, Any], message: str
+) -> None:
+    assert_refused(which, {"body_mass": "double"}, changes, message)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        (
+            "body_mas",
+            1.0,
+            "unknown array of mjModel 'body_mas' .did you mean 'body_mass",
+        ),
+        ("body_mass", np.ones(2), r"body_mass has shape \(2,\); give"),
+        ("body_mass", "heavy", "body_mass='heavy' is not allowed; give an array of"),
+        ("body_mass", NAN, "body_mass holds NaN or infinity; give finite numbers"),
+        ("body_mass", -1.0, "body_mass has negative numbers; give 0 or more"),
+        ("body_mass", 0.0, "body_mass has zeros where the model has none"),
+        ("geom_friction", -0.1, "geom_friction has negative numbers"),
+        ("geom_rgba", 2.0, r"geom_rgba has numbers outside \[0, 1\]"),
+        # What a kernel or MuJoCo has read, or would follow to other memory.
+        ("body_parentid", 7, "body_parentid cannot differ from copy to copy"),
+        ("jnt_type", 1, "jnt_type cannot differ from copy to copy"),
+        ("actuator_ctrlrange", 100.0, "actuator_ctrlrange cannot differ from copy to"),
+        ("geom_size", 0.1, "geom_size cannot differ from copy to copy"),
+    ],
+)
+def test_patches_that_are_refused_change_nothing(
+    name: str, value: Any, message: str
+) -> None:
+    assert_refused(ALL, {"geom_friction": "double", name: value}, {}, message)
+
+
+def assert_refused(
+    which: Any, fields: dict[str, Any], changes: dict[str, Any], message: str
+) -> None:
+    """Give sound changes and a wrong one; check that none of them is made."""
+    stepper = refusing()
+    memory = stepper.copies.memory
+    before = [array.copy() for array in memory]
+    given = {}
+    for name, value in fields.items():
+        own = getattr(stepper.model, name, None)
+        if isinstance(value, str) and value == "double":
+            given[name] = 2.0 * own
+        else:
+            scalar = isinstance(value, float | int) and own is not None
+            given[name] = np.full(own.shape, value) if scalar else value
+    everything = {"damping": 5.0, "command_delay": 1, **changes}
+    with pytest.raises(RlcoError, match=message) as caught:
+        stepper.randomise(which, given, **everything)
+    assert str(caught.value).endswith(".")
+    assert "\n" not in str(caught.value)
+    assert stepper.copies.memory is memory
+    for array, old in zip(memory, before, strict=True):
+        np.testing.assert_array_equal(array, old)
+    assert not stepper.copies._models
+
+
+def test_a_number_of_threads_that_is_none_is_refused() -> None:
+    for threads in (0, -3, 1.5):
+        with pytest.raises(RlcoError, match=f"threads={threads} is not allowed"):
+            NativeStepper(TASK, SIM, num_envs=1, threads=threads)  # type: ignore[arg-type]

@@ -1,4 +1,4 @@
-"""The native stepper moves what robosuite moves, step by step and in the air."""
+"""Copies of the native stepper do not disturb each other; torques are robosuite's."""
 
 from __future__ import annotations
 
@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from stepping_cases import Array, anchor, deviation, make_pair, starts
+from stepping_cases import Array, starts
 
 from rlco.errors import RlcoError, SimulationError
-from rlco.physics.domain import SIM, STAND_IN, Domain
+from rlco.physics.domain import SIM
 from rlco.physics.native import NativeStepper
 from rlco.physics.osc import (
     NULL_STIFFNESS,
@@ -20,93 +20,6 @@ from rlco.physics.osc import (
 )
 from rlco.physics.push_cube import TASK
 from rlco.physics.robosuite_stepper import RobosuiteStepper
-
-DOMAINS = pytest.mark.parametrize("domain", [SIM, STAND_IN], ids=lambda d: d.name)
-
-
-def anchored_deviations(
-    domain: Domain, *, exact: bool, episodes: int, steps: int
-) -> tuple[Array, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
-    """Compare every control step, each from robosuite's state.
-
-    Returns:
-        The largest difference of a coordinate after each step, and whether the
-        robot touched anything on the way, each shape (episodes * steps,).
-    """
-    env, stepper = make_pair(domain, exact=exact)
-    apart, touched = [], []
-    for index, start in enumerate(starts(episodes, seed=steps)):
-        env.start(start)
-        stepper.reset([start])
-        assert deviation(env, stepper) == 0.0
-        rng = np.random.default_rng([steps, index])
-        for _ in range(steps):
-            action = rng.uniform(-1.0, 1.0, 7)
-            before = env.scene_state()
-            anchor(env, stepper)
-            env.step(action)
-            native = stepper.step(action[None, None]).at((0, 1))
-            apart.append(deviation(env, stepper))
-            touched.append(env.touched)
-            after = env.scene_state()
-            assert TASK.success(native) == TASK.success(after)
-            for kind in ("shaped", "sparse"):
-                difference = TASK.reward(before, native, kind) - TASK.reward(
-                    before, after, kind
-                )
-                # Ten a metre, from coordinates that differ by less than 1e-6 m.
-                assert abs(difference) < 1e-5
-    return np.array(apart), np.array(touched)
-
-
-@DOMAINS
-@pytest.mark.parametrize(("episodes", "steps"), [(20, 10), (3, 60)])
-def test_exact_arithmetic_repeats_every_control_step_of_robosuite(
-    domain: Domain, episodes: int, steps: int
-) -> None:
-    apart, touched = anchored_deviations(
-        domain, exact=True, episodes=episodes, steps=steps
-    )
-
-    # Both kinds of step occur: the robot in the air, and touching something.
-    assert 0 < touched.sum() < touched.size
-    assert apart[~touched].max() <= 1e-9
-    # MuJoCo's collision of meshes can turn the last bit into 1e-7: measured over
-    # 4000 steps, 3996 within 1e-9 and the worst at 5e-7.
-    assert (apart <= 1e-9).mean() >= 0.99
-    assert apart.max() <= 1e-5
-
-
-@DOMAINS
-def test_fast_arithmetic_repeats_every_step_in_which_the_robot_touches_nothing(
-    domain: Domain,
-) -> None:
-    apart, touched = anchored_deviations(domain, exact=False, episodes=20, steps=10)
-
-    assert apart[~touched].max() <= 1e-9
-    # Measured over 4000 steps: 3976 within 1e-9, the worst at 3e-5.
-    assert (apart <= 1e-9).mean() >= 0.95
-    assert apart.max() <= 1e-3
-
-
-@DOMAINS
-@pytest.mark.parametrize("exact", [True, False])
-def test_an_open_loop_in_the_air_stays_with_robosuite(
-    domain: Domain, exact: bool
-) -> None:
-    env, stepper = make_pair(domain, exact=exact)
-    for index, start in enumerate(starts(3, seed=5)):
-        env.start(start)
-        stepper.reset([start])
-        rng = np.random.default_rng([5, index])
-        for step in range(20):
-            action = rng.uniform(-0.4, 0.4, 7)
-            action[2] = 0.6 if step < 8 else 0.0  # up, away from the cubes
-            action[6] = 1.0
-            env.step(action)
-            stepper.step(action[None, None])
-            assert not env.touched_others
-            assert deviation(env, stepper) <= 1e-6
 
 
 def test_threads_and_copies_change_nothing() -> None:

@@ -1,4 +1,4 @@
-"""The recipes of Stage I and of evaluation take one of robosuite's own tasks."""
+"""The recipes of both stages and of evaluation take one of robosuite's own tasks."""
 
 from __future__ import annotations
 
@@ -7,13 +7,15 @@ from pathlib import Path
 
 import pytest
 import torch
-from recipe_cases import SFT, Assets, refused, start
+from recipe_cases import RL_CO, SFT, Assets, refused, start
 from tensordict import TensorDictBase
 
 from rlco import keys
 from rlco.data import DemoWriter
 from rlco.envs import make_env
+from rlco.errors import RlcoError
 from rlco.metrics import read_metrics
+from rlco.physics.task import make_task
 from rlco.policies import load_policy
 
 LIFT = "robosuite:Lift"
@@ -73,6 +75,28 @@ def test_stage_one_learns_from_demonstrations_of_lift(policy: Path) -> None:
     assert extra["state_names"][:3] == ["tool.x", "tool.y", "tool.z"]
 
 
+def test_stage_two_learns_on_robosuites_copies(
+    policy: Path, demos: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "rl_co"
+    left_out = ("iterations", "critic_iterations", "eval_episodes")
+    rest = [o for o in RL_CO if not o.startswith(left_out)]
+    given = (f"task={LIFT}", f"policy={policy}", f"real_demos={demos}")
+    more = ("iterations=1", "critic_iterations=0", "horizon=12", "eval_episodes=1")
+    start("rl_co", *given, *rest, *more, f"out={out}")
+    first, last = read_metrics(out / "metrics.csv")
+    assert last["frames"] == 2 * 12
+    assert last["first_ratio"] == pytest.approx(1.0, abs=1e-5)
+    # Both terms pull: robosuite's shaped reward, and the demonstrations.
+    assert last["return_mean"] > 0.0
+    assert last["grad_norm_sim"] > 0.0
+    assert last["grad_norm_real"] > 0.0
+    assert {"success_sim"} == {k for k in first if k.startswith("success_")}
+    before, after = (load_policy(p)[0] for p in (policy, out / "policy"))
+    changed = zip(before.parameters(), after.parameters(), strict=True)
+    assert any((a != b).any() for a, b in changed)
+
+
 def test_evaluation_plays_robosuites_episodes(policy: Path, tmp_path: Path) -> None:
     out = tmp_path / "evaluation"
     given = (f"policy={policy}", f"task={LIFT}", "episodes=1")
@@ -109,3 +133,10 @@ def test_a_domain_that_lift_lacks_is_refused_before_training(
     assert "'stand_in' is not supported" in line
     assert "eval_domains=[sim]" in line
     assert not out.exists()
+
+
+def test_who_needs_an_expert_or_domains_says_that_lift_has_none() -> None:
+    with pytest.raises(RlcoError, match=r"'robosuite:Lift' is robosuite's own task"):
+        make_task(LIFT)
+    with pytest.raises(RlcoError, match=r"give one of push_cube, pick_and_place"):
+        make_task(LIFT)

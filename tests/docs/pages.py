@@ -1,0 +1,26 @@
+"""Read the documentation's pages."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+DOCS = Path(__file__).parents[2] / "docs"
+
+
+def run_python(page: str, heading: str = "") -> dict[str, Any]:
+    """Run a page's Python, from a heading on up to the next; return its variables.
+
+    Args:
+        page: Its name, ``native.md``.
+        heading: ``## Copies that differ``; the whole page where empty.
+    """
+    text = (DOCS / page).read_text()
+    if heading:
+        text = text.split(f"\n{heading}\n", 1)[1].split("\n## ", 1)[0]
+    blocks = re.findall(r"^```python\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    assert blocks, f"{page} has no Python under {heading!r}"
+    variables: dict[str, Any] = {}
+    exec("\n".join(blocks), variables)
+    return variables
