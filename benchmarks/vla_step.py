@@ -3,12 +3,14 @@
     uv run benchmarks/vla_step.py
 
 With an accelerator: both at real size, random weights, bfloat16; time, samples a
-second, memory and the share of the chip's peak. Without one: parameters, operations
+second, memory and the share of the chip's peak; what does not fit into its memory says
+so, and the next line follows. Without one: parameters, operations
 and bytes of the real sizes, counted, and the same steps of the tiny models, timed.
 """
 
 from __future__ import annotations
 
+import gc
 import resource
 import statistics
 import time
@@ -154,19 +156,27 @@ def main(config: Config) -> None:
     print("| trained | step [ms] | samples a second | GFLOP | memory | of the peak |")
     print("|---|---|---|---|---|---|")
     for name, build in modes.items():
-        found = measure(config, build)
-        share = 0.0 if peak is None else found.operations / found.seconds / peak
-        cells = [
-            name,
-            f"{1e3 * found.seconds:.1f}",
-            f"{samples / found.seconds:.0f}",
-            f"{found.operations / 1e9:.2f}",
-            f"{found.memory / 2**30:.2f} GiB",
-            f"{share:.1%}" if share else "-",
-        ]
-        print(f"| {' | '.join(cells)} |", flush=True)
+        try:
+            cells = measured_cells(measure(config, build), samples, peak)
+        except torch.cuda.OutOfMemoryError:
+            cells = ["out of memory", "-", "-", "-", "-"]
+        print(f"| {' | '.join([name, *cells])} |", flush=True)
+        # Outside of the handler: there its traceback still holds the model.
+        gc.collect()
         if on_gpu:
             torch.cuda.empty_cache()
+
+
+def measured_cells(found: Measured, samples: int, peak: float | None) -> list[str]:
+    """Return a line's cells after its name."""
+    share = 0.0 if peak is None else found.operations / found.seconds / peak
+    return [
+        f"{1e3 * found.seconds:.1f}",
+        f"{samples / found.seconds:.0f}",
+        f"{found.operations / 1e9:.2f}",
+        f"{found.memory / 2**30:.2f} GiB",
+        f"{share:.1%}" if share else "-",
+    ]
 
 
 if __name__ == "__main__":

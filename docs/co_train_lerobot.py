@@ -1,4 +1,4 @@
-"""Load a LeRobot checkpoint, co-train it, save it back; docs/vla.md explains."""
+"""Both stages on a LeRobot checkpoint: load, train, save; docs/vla.md explains."""
 
 from functools import partial
 
@@ -6,7 +6,7 @@ import torch
 from tensordict import TensorDict
 from torchrl.objectives import ClipPPOLoss
 
-from rlco.collectors import RolloutCollector
+from rlco.collectors import RolloutCollector, check_signal
 from rlco.data import load_demos
 from rlco.envs import make_env
 from rlco.losses import CoTrainingLoss, ImitationLoss, log_probs
@@ -15,6 +15,25 @@ from rlco.policies.lerobot_checkpoint import load_lerobot
 from rlco.policies.lerobot_export import save_lerobot
 from rlco.policies.lerobot_policies import LeRobotPolicy
 from rlco.policies.prefix_critic import PrefixCritic, add_next_summaries
+
+
+def imitate(source, sim, real, target, task="push_cube", alpha=0.5, updates=1000):
+    """Return the folder of a checkpoint that has imitated both kinds of data."""
+    checkpoint = load_lerobot(source, action_size=7)
+    texts = make_task(task).instructions
+    policy = LeRobotPolicy(checkpoint, instructions=texts, trained="full")
+    load = partial(load_demos, chunk=policy.chunk, instructions=texts)
+    sides = {"sim": load(sim), "real": load(real)}
+    losses = [ImitationLoss(policy, functional=False) for _ in sides]
+    loss = CoTrainingLoss(*losses, sim_coeff=alpha, real_coeff=1 - alpha)
+    optimizer = policy.policy.config.get_optimizer_preset().build(loss.parameters())
+    for _ in range(updates):
+        rows = {root: side.sample(32) for root, side in sides.items()}
+        out = loss(TensorDict(rows).to(policy.device))
+        optimizer.zero_grad()
+        (out["loss_bc"] + out["loss_bc_real"]).backward()
+        optimizer.step()
+    return save_lerobot(checkpoint, target, step=updates, data=real)
 
 
 def co_train(source, demos, target, task="push_cube", iterations=100, num_envs=64):
@@ -28,10 +47,13 @@ def co_train(source, demos, target, task="push_cube", iterations=100, num_envs=6
     critic = PrefixCritic(policy.model.summary_size).to(policy.device)
     ppo = ClipPPOLoss(policy, critic, functional=False, entropy_bonus=False)
     loss = CoTrainingLoss(ppo, ImitationLoss(policy, functional=False), real_coeff=0.2)
-    optimizer = torch.optim.AdamW(loss.parameters(), lr=4e-6)
-    summaries = partial(add_next_summaries, prefix=policy.new_prefix)
+    slow = {"params": policy.policy.parameters(), "lr": 4e-6}
+    fast = {"params": [*critic.parameters(), *policy.noise.parameters()]}
+    optimizer = torch.optim.AdamW([slow, fast], lr=2e-4)
+    summaries = partial(add_next_summaries, summary=policy.new_summary)
     collector = RolloutCollector(env, policy, critic, prepare=summaries)
-    for iteration in range(iterations):
+    check_signal(collector.collect(0))  # no success at all: it says so and stops
+    for iteration in range(1, iterations + 1):
         rollout = collector.collect(iteration).reshape(-1)
         rollout["vla_action", "log_probs"] = log_probs(policy, rollout, rows=40)
         for sim in rollout[torch.randperm(len(rollout))].split(40):

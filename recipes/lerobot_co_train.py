@@ -7,7 +7,7 @@ pretrained_model --env.type=rlco --env.task=push_cube --env.camera=front
 
 L = L_PPO(sim) + beta L_BC(D_real), beta = real_coeff (RL-Co, arXiv 2602.12628). The
 checkpoint must solve the task now and then in the simulator before this can help:
-train it on both kinds of demonstrations first, with lerobot-train.
+train it on both kinds of demonstrations first (docs/vla.md says how).
 """
 
 from __future__ import annotations
@@ -18,9 +18,11 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal
 
+from lerobot_stage_two import load_real, make_learner, statistics_of
+
 from rlco import keys
 from rlco.config import REQUIRED, RunOptions, option
-from rlco.errors import ConfigError, DataError
+from rlco.errors import ConfigError
 from rlco.run import Run, run_recipe
 
 log = logging.getLogger("rlco.lerobot_co_train")
@@ -50,10 +52,36 @@ class Config(RunOptions):
         "expert: what follows images and text; lora: adapters on that; full: all",
     )
     lora_rank: int = option(16, "rank of the adapters", minimum=1)
+    keep_prefix: bool = option(
+        True, "whether rollouts carry what a frozen language model said"
+    )
+    stats: str | None = option(
+        None,
+        "LeRobot folder whose statistics normalise, for a checkpoint without its own",
+    )
+    executed: int | None = option(
+        None, "steps of a chunk that are executed; null: the checkpoint's", minimum=1
+    )
     method: Literal["flow_noise", "flow_sde"] = option(
         "flow_noise", "what stands for the log-probability"
     )
     steps: int | None = option(4, "denoising steps; null: the checkpoint's", minimum=1)
+    noisy_steps: Literal["all", "one"] = option(
+        "all", "denoising steps with noise: all, or one of each decision"
+    )
+    noise_range: list[float] = option(
+        [0.08, 0.16], "flow_noise: least and greatest deviation of a step"
+    )
+    noise_level: float = option(0.5, "flow_sde: a, how much noise a step has")
+    denoise_reduction: Literal["mean", "sum"] = option(
+        "mean", "of a chain's terms: their mean, as RLinf has it, or their sum"
+    )
+    log_prob_level: Literal["chunk", "action", "token"] = option(
+        "chunk", "what has a ratio of its own: a decision, a step, a number"
+    )
+    padded_mean: bool = option(
+        False, "whether imitation averages padded numbers too, as RLinf does"
+    )
     iterations: int = option(100, "rollouts", minimum=1, may_change=True)
     num_envs: int = option(64, "episodes of a rollout", minimum=1)
     horizon: int | None = option(
@@ -69,15 +97,48 @@ class Config(RunOptions):
     lr: float = option(4e-6, "learning rate of the policy")
     critic_lr: float = option(2e-4, "learning rate of the critic and of the noise")
     critic_iterations: int = option(
-        1, "first rollouts that train the critic alone", minimum=0
+        1, "gae: first rollouts that train the critic alone", minimum=0
     )
     clip: float = option(0.2, "PPO's clip of the ratio", minimum=0)
-    gamma: float = option(0.99, "discount a decision", minimum=0, maximum=1)
+    advantage: Literal["gae", "mc"] = option(
+        "gae", "by a critic, or by returns within groups that start alike"
+    )
+    group_size: int = option(8, "mc: episodes of a group", minimum=2)
+    gamma: float = option(0.99, "gae: discount a decision", minimum=0, maximum=1)
     lmbda: float = option(0.95, "GAE's lambda", minimum=0, maximum=1)
     max_grad_norm: float = option(1.0, "clip of the gradient's norm")
     eval_every: int = option(10, "rollouts between evaluations", minimum=1)
     eval_episodes: int = option(64, "episodes of an evaluation; 0: none", minimum=0)
     save_every: int = option(50, "rollouts between checkpoints", minimum=1)
+
+
+def check(config: Config) -> None:
+    """Check the options, before anything large is loaded."""
+    from rlco.policies.flow_chain import FlowChain
+    from rlco.policies.lerobot_checkpoint import lerobot_config
+    from rlco.policies.lerobot_noise import check_range
+
+    # Names are checked where they are parsed; of a chain only this number is left.
+    chain = FlowChain(config.method, 1, "all", config.noise_level, "mean")
+    problems = chain.problems() + check_range(config.noise_range)
+    if config.real_coeff > 0 and config.real_demos is None:
+        problems.append(
+            f"real_coeff={config.real_coeff} needs real_demos=FOLDER; "
+            "real_coeff=0 is reinforcement learning alone"
+        )
+    if config.advantage == "mc" and config.num_envs % config.group_size:
+        problems.append(
+            f"num_envs={config.num_envs} is no multiple of "
+            f"group_size={config.group_size}, as advantage='mc' needs"
+        )
+    predicted = lerobot_config(config.policy).chunk_size
+    if config.executed is not None and config.executed > predicted:
+        problems.append(
+            f"executed={config.executed} must be 1 to {predicted}, the steps that the "
+            "checkpoint predicts"
+        )
+    if problems:
+        raise ConfigError(problems)
 
 
 def load(config: Config) -> tuple[Any, Any, Any]:
@@ -91,17 +152,12 @@ def load(config: Config) -> tuple[Any, Any, Any]:
     from rlco.state_files import seed_everything
 
     task = make_task(config.task)
-    if config.real_coeff > 0 and config.real_demos is None:
-        raise ConfigError(
-            [
-                f"real_coeff={config.real_coeff} needs real_demos=FOLDER; "
-                "real_coeff=0 is reinforcement learning alone"
-            ]
-        )
+    check(config)
     checkpoint = load_lerobot(
         config.policy,
         action_size=len(ACTION_NAMES),
         tokenizer=config.tokenizer,
+        stats=statistics_of(config.stats),
         device=config.device,
     )
     seed_everything(config.seed)  # the noise and the adapters are drawn before the run
@@ -109,174 +165,24 @@ def load(config: Config) -> tuple[Any, Any, Any]:
         checkpoint,
         instructions=task.instructions,
         camera=config.camera,
+        executed=config.executed,
         trained="full" if config.trained == "full" else "expert",
         method=config.method,
         steps=config.steps,
+        noisy_steps=config.noisy_steps,
+        noise_range=(config.noise_range[0], config.noise_range[1]),
+        noise_level=config.noise_level,
+        denoise_reduction=config.denoise_reduction,
+        log_prob_level=config.log_prob_level,
+        padded_mean=config.padded_mean,
+        keep_prefix=config.keep_prefix,
     )
     check_trainable(policy.model)
+    # What is trained to act is what LeRobot's commands will execute.
+    checkpoint.config.n_action_steps = policy.executed
     if config.trained == "lora":
         add_expert_lora(policy.model, rank=config.lora_rank)
     return checkpoint, policy, load_real(config, task, policy)
-
-
-def load_real(config: Config, task: Any, policy: Any) -> Any:
-    """Load the real demonstrations, and keep their prefixes where these are frozen."""
-    from rlco.data import load_demos
-    from rlco.policies.prefix_cache import with_prefixes
-
-    if config.real_coeff == 0 or config.real_demos is None:
-        return None
-    demos = load_demos(
-        config.real_demos,
-        chunk=policy.chunk,
-        instructions=task.instructions,
-        action_dim=policy.action_size,
-        image_key=config.real_camera or policy.inputs.camera,
-    )
-    if demos.meta.fps != task.control_frequency:
-        raise DataError(
-            f"data set {config.real_demos!r} has {demos.meta.fps:g} frames a second, "
-            f"but {task.name!r} is controlled at {task.control_frequency} Hz; record "
-            "or resample it at that rate, as an action chunk counts frames."
-        )
-    if not policy.keep_prefix:
-        return demos
-    return with_prefixes(demos.frames(), policy.new_prefix, rows=config.minibatch)
-
-
-@dataclass
-class Learner:
-    """What is trained, and what trains it."""
-
-    policy: Any
-    critic: Any
-    loss: Any
-    buffer: Any
-    actor_optimizer: Any
-    critic_optimizer: Any
-
-    def modules(self) -> dict[str, Any]:
-        """Everything that a run's own checkpoint holds by its state dict."""
-        names = ("policy", "critic", "actor_optimizer", "critic_optimizer")
-        return {name: getattr(self, name) for name in names}
-
-    def state(self) -> dict[str, Any]:
-        """Return what the run's own checkpoint holds."""
-        state = {name: dict(m.state_dict()) for name, m in self.modules().items()}
-        return state | {"buffer": self.buffer.state_dict(rows=False)}
-
-    def load(self, state: dict[str, Any]) -> None:
-        """Go on from the run's own checkpoint."""
-        for name, module in self.modules().items():
-            module.load_state_dict(state[name])
-        self.buffer.load_state_dict(state["buffer"])
-
-    def beside(self) -> dict[str, Any]:
-        """Return what a LeRobot checkpoint has no place for, by file."""
-        return {
-            "critic": dict(self.critic.state_dict()),
-            "noise": dict(self.policy.noise.state_dict()),
-            "critic_optimizer": self.critic_optimizer.state_dict(),
-        }
-
-
-def make_learner(config: Config, policy: Any, real: Any, rows: int) -> Learner:
-    """Put critic, loss, buffer and optimisers around a policy."""
-    import torch
-    from torchrl.data import LazyTensorStorage, ReplayBuffer
-    from torchrl.objectives import ClipPPOLoss
-
-    from rlco.data import SimRealReplayBuffer
-    from rlco.losses import CoTrainingLoss, ImitationLoss
-    from rlco.policies.lerobot_export import load_beside
-    from rlco.policies.prefix_critic import PrefixCritic
-
-    critic = PrefixCritic(policy.model.summary_size).to(policy.device)
-    for name, module in (("critic", critic), ("noise", policy.noise)):
-        saved = load_beside(config.policy, name)
-        if saved is not None:
-            module.load_state_dict(saved)
-    batch_size = config.minibatch + (config.real_rows if real is not None else 0)
-    buffer = SimRealReplayBuffer(
-        ReplayBuffer(storage=LazyTensorStorage(rows)),
-        real,
-        sim_ratio=config.minibatch / batch_size,
-        batch_size=batch_size,
-    )
-    # Not functional: billions of weights are trained where they are.
-    ppo = ClipPPOLoss(
-        policy,
-        critic,
-        functional=False,
-        clip_epsilon=config.clip,
-        entropy_bonus=False,
-        critic_coeff=1.0,
-        loss_critic_type="l2",
-    )
-    anchor = ImitationLoss(policy, functional=False) if real is not None else None
-    loss = CoTrainingLoss(
-        ppo, anchor, real_coeff=config.real_coeff if anchor is not None else 0.0
-    )
-    preset = policy.policy.config.get_optimizer_preset()
-    preset.lr = config.lr
-    beside = [*critic.parameters(), *policy.noise.parameters()]
-    return Learner(
-        policy,
-        critic,
-        loss,
-        buffer,
-        preset.build(policy.policy.parameters()),
-        torch.optim.Adam(beside, lr=config.critic_lr),
-    )
-
-
-def update(
-    config: Config, learner: Learner, rollout: Any, *, train_policy: bool
-) -> dict[str, float]:
-    """Pass over a rollout, each minibatch with fresh real rows; return the means."""
-    from rlco.losses import log_probs
-    from rlco.policies.prefix_cache import SUMMARY
-
-    policy = learner.policy
-    kept = [*policy.replay_keys, SUMMARY, keys.LOG_PROB, keys.ADVANTAGE]
-    flat = rollout.select(*kept, keys.VALUE_TARGET, keys.STATE_VALUE).reshape(-1)
-    flat = flat.to(policy.device)
-    # The old log-probability by the learner itself: the first ratio is 1.
-    computed = log_probs(policy, flat, rows=config.minibatch)
-    row = {"log_prob_gap": float((computed - flat[keys.LOG_PROB]).abs().max())}
-    flat.set(keys.LOG_PROB, computed)
-    learner.buffer.empty()
-    learner.buffer.extend(flat)
-    sums: dict[str, float] = {}
-    minibatches = 0
-    for _ in range(config.epochs):
-        for batch in learner.buffer:
-            out = learner.loss(batch.to(policy.device))
-            terms = [v for k, v in out.items() if k.startswith("loss_")]
-            (sum(terms) / config.accumulate).backward()
-            if minibatches == 0:
-                row["first_ratio"] = float(out["max_ratio"])
-            minibatches += 1
-            if minibatches % config.accumulate == 0:
-                follow(config, learner, train_policy=train_policy)
-            for name, value in out.items():
-                sums[name] = sums.get(name, 0.0) + float(value.detach())
-    if minibatches % config.accumulate:
-        follow(config, learner, train_policy=train_policy)
-    return row | {name: total / minibatches for name, total in sums.items()}
-
-
-def follow(config: Config, learner: Learner, *, train_policy: bool) -> None:
-    """Follow the gradients that have come together, and forget them."""
-    from torch.nn.utils import clip_grad_norm_
-
-    clip_grad_norm_(learner.critic.parameters(), 10.0)
-    learner.critic_optimizer.step()
-    if train_policy:
-        clip_grad_norm_(learner.policy.policy.parameters(), config.max_grad_norm)
-        learner.actor_optimizer.step()
-    learner.actor_optimizer.zero_grad()
-    learner.critic_optimizer.zero_grad()
 
 
 def train(config: Config, run: Run, checkpoint: Any, policy: Any, real: Any) -> None:
@@ -315,7 +221,9 @@ def train(config: Config, run: Run, checkpoint: Any, policy: Any, real: Any) -> 
         learner.critic,
         gamma=config.gamma,
         lmbda=config.lmbda,
-        prepare=partial(add_next_summaries, prefix=policy.new_prefix),
+        advantage=config.advantage,
+        group_size=config.group_size,
+        prepare=partial(add_next_summaries, summary=policy.new_summary),
     )
     if (saved := run.load_checkpoint()) is not None:
         learner.load(saved)
@@ -323,13 +231,14 @@ def train(config: Config, run: Run, checkpoint: Any, policy: Any, real: Any) -> 
     folder = run.path / "lerobot"
 
     def save(iteration: int) -> None:
+        parts = {"critic": learner.critic, "noise": policy.noise}
         saved = save_lerobot(
             checkpoint,
             folder,
             step=iteration,
             data=config.real_demos,
             optimizer=learner.actor_optimizer,
-            beside=learner.beside(),
+            beside={k: dict(m.state_dict()) for k, m in parts.items() if m is not None},
         )
         log.info("lerobot-eval --policy.path=%s", saved)
 
@@ -355,8 +264,8 @@ def train(config: Config, run: Run, checkpoint: Any, policy: Any, real: Any) -> 
             ),
             "diverged": int(rollout["next", keys.DIVERGED].sum()),
         }
-        alone = iteration <= config.critic_iterations
-        row |= update(config, learner, rollout, train_policy=not alone)
+        alone = config.critic_iterations if learner.critic is not None else 0
+        row |= learner.update(rollout, config.epochs, train_policy=iteration > alone)
         learned = time.perf_counter()
         last = iteration == config.iterations
         if iteration % config.eval_every == 0 or last:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
@@ -56,9 +56,8 @@ def gradient_agreement(loss: CoTrainingLoss, batch: TensorDictBase) -> dict[str,
         terms = loss.terms(batch)
         sim = _gradient(terms.get(SIM, {}), parameters)
         real = _gradient(terms.get(REAL, {}), parameters)
-    norm_sim, norm_real, dot = (
-        float(value) for value in (sim.norm(), real.norm(), sim @ real)
-    )
+    norm_sim, norm_real = _dot(sim, sim) ** 0.5, _dot(real, real) ** 0.5
+    dot = _dot(sim, real)
     product = norm_sim * norm_real
     return {
         "grad_norm_sim": norm_sim,
@@ -68,14 +67,24 @@ def gradient_agreement(loss: CoTrainingLoss, batch: TensorDictBase) -> dict[str,
     }
 
 
-def _gradient(named: dict[str, Any], parameters: list[nn.Parameter]) -> torch.Tensor:
-    """Return the gradient of the summed terms as one float64 vector."""
+def _gradient(
+    named: dict[str, Any], parameters: list[nn.Parameter]
+) -> Sequence[torch.Tensor]:
+    """Return the gradient of the summed terms, a tensor for each parameter."""
     terms = [value for name, value in named.items() if name.startswith("loss_")]
     total = torch.stack(terms).sum() if terms else torch.zeros(())
     if not total.requires_grad:
-        return torch.zeros(sum(p.numel() for p in parameters), dtype=torch.float64)
-    gradients = torch.autograd.grad(total, parameters, materialize_grads=True)
-    return torch.cat([gradient.flatten().double() for gradient in gradients])
+        return [torch.zeros_like(parameter) for parameter in parameters]
+    return torch.autograd.grad(total, parameters, materialize_grads=True)
+
+
+def _dot(one: Sequence[torch.Tensor], other: Sequence[torch.Tensor]) -> float:
+    """Return the inner product in float64, without a copy of all gradients at once."""
+    products = (
+        torch.dot(a.flatten().double(), b.flatten().double())
+        for a, b in zip(one, other, strict=True)
+    )
+    return float(sum(products, start=torch.zeros(())))
 
 
 @contextmanager

@@ -21,7 +21,7 @@ from rlco.errors import CheckpointError
 from rlco.policies.lerobot_flow import FlowModel
 from rlco.policies.lerobot_inputs import Stats, check_statistics
 from rlco.policies.lerobot_pi05 import Pi05Model
-from rlco.policies.lerobot_smolvla import SmolVLAModel
+from rlco.policies.lerobot_smolvla import SmolVLAModel, build_smolvla
 
 WEIGHTS = "model.safetensors"
 
@@ -74,21 +74,32 @@ def load_lerobot(
             are missing; or there is no tokenizer.
     """
     path = Path(folder).resolve()
-    config = _read_config(path, device)
+    config = lerobot_config(path)
+    if device is not None:
+        config.device = device
     _check_actions(path, config, action_size)
     if tokenizer is not None and hasattr(config, "vlm_model_name"):
         config.vlm_model_name = str(Path(tokenizer).resolve())
     # The processors first: they are quick, and what is wrong shows in them.
     processors = _load_processors(path, config, tokenizer, stats)
     check_statistics(path, config, processors[0])
-    build = SmolVLAModel if isinstance(config, SmolVLAConfig) else Pi05Model
-    model = build(get_policy_class(config.type)(config))
+    model: FlowModel
+    if isinstance(config, SmolVLAConfig):
+        model = SmolVLAModel(build_smolvla(config))
+    else:
+        model = Pi05Model(get_policy_class(config.type)(config))
     _load_weights(model, path / WEIGHTS)
     model.policy.to(config.device).eval()
     return LeRobotCheckpoint(path, model, *processors)
 
 
-def _read_config(folder: Path, device: str | None) -> Any:
+def lerobot_config(folder: str | os.PathLike[str]) -> Any:
+    """Return LeRobot's configuration of a checkpoint of pi0.5 or SmolVLA.
+
+    Raises:
+        CheckpointError: it is missing, damaged, or of another type.
+    """
+    folder = Path(folder).resolve()
     if not (folder / "config.json").is_file():
         raise CheckpointError(
             f"{str(folder)!r} has no config.json; give LeRobot's folder "
@@ -110,8 +121,6 @@ def _read_config(folder: Path, device: str | None) -> Any:
             "sampler); rlco trains pi05 and smolvla, and OpenVLA by load_openvla."
         )
     config.pretrained_path = folder
-    if device is not None:
-        config.device = device
     return config
 
 

@@ -3,11 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import torch
 from torch import nn
 
 from rlco.policies.mlp import Mlp
+
+
+def check_range(noise_range: Sequence[float]) -> list[str]:
+    """Return what is wrong with a least and a greatest standard deviation.
+
+    Example:
+        >>> check_range((0.1, 0.0))
+        ['noise_range=[0.1, 0.0] must be two numbers, 0 < least <= greatest']
+    """
+    if len(noise_range) == 2 and 0 < noise_range[0] <= noise_range[1] < math.inf:
+        return []
+    given = list(noise_range)
+    return [f"noise_range={given} must be two numbers, 0 < least <= greatest"]
 
 
 class StepNoise(nn.Module):

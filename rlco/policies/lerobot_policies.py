@@ -30,7 +30,7 @@ from rlco.policies.flow_matching import squared_error
 from rlco.policies.lerobot_checkpoint import LeRobotCheckpoint
 from rlco.policies.lerobot_flow import check_trainable, velocity_given
 from rlco.policies.lerobot_inputs import LeRobotInputs
-from rlco.policies.lerobot_noise import StepNoise
+from rlco.policies.lerobot_noise import StepNoise, check_range
 from rlco.policies.lerobot_trained import Trained, freeze
 from rlco.policies.path_distribution import (
     LogProbLevel,
@@ -115,17 +115,15 @@ class LeRobotPolicy(TensorDictModuleBase):
         self.model = checkpoint.model
         self.policy = self.model.policy
         self.chunk: int = config.chunk_size
-        self.executed: int = executed or config.n_action_steps
+        self.executed: int = config.n_action_steps if executed is None else executed
         self.action_size: int = config.action_feature.shape[0]
         self.width: int = config.max_action_dim
+        steps = self.model.steps if steps is None else steps
         self.chain = FlowChain(
-            method,
-            steps or self.model.steps,
-            noisy_steps,
-            noise_level,
-            denoise_reduction,
+            method, steps, noisy_steps, noise_level, denoise_reduction
         )
         problems = self.chain.problems() + check_level(log_prob_level)
+        problems += check_range(noise_range)
         if trained not in get_args(Trained):
             problems.append(f"unknown trained {trained!r}; known: 'expert', 'full'")
         if not 1 <= self.executed <= self.chunk:
@@ -203,11 +201,20 @@ class LeRobotPolicy(TensorDictModuleBase):
         with torch.set_grad_enabled(gradient):
             return self.model.prefix(self.inputs.observe(tensordict))
 
+    @torch.no_grad()
+    def new_summary(self, tensordict: TensorDictBase) -> torch.Tensor:
+        """Return what critics read [B, W] of the observations of a batch (B,)."""
+        return self.new_prefix(tensordict).summary
+
     # -- The actor's three answers -------------------------------------------------
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write sample, log-probability, chunk, action and prefix."""
+        """Write sample, log-probability, chunk, action and prefix.
+
+        All of it lies where the observations do, not in an accelerator's memory.
+        """
+        home = read(tensordict, STATE).device
         # Collectors hand back what was written one decision before.
         prefix = self.new_prefix(tensordict)
         shape = (tensordict.batch_size.numel(), self.chunk, self.width)
@@ -220,15 +227,13 @@ class LeRobotPolicy(TensorDictModuleBase):
         )
         counted = noisy if self.chain.noisy_steps == "one" else None
         density = self.chain.density(velocity, self.noise, chain, counted)
-        tensordict.set(SAMPLE, chain)
-        tensordict.set(LOG_PROB, self._per_level(density[0]))
+        tensordict.set(SAMPLE, chain.to(home))
+        tensordict.set(LOG_PROB, self._per_level(density[0]).to(home))
         if counted is not None:
-            tensordict.set(DENOISE_STEP, counted)
-        if self.keep_prefix:
-            prefix.write(tensordict)
-        else:
-            prefix.write_summary(tensordict)
-        raw = self.inputs.unnormalize(chain[:, -1, :, : self.action_size])
+            tensordict.set(DENOISE_STEP, counted.to(home))
+        told = prefix.to(home)
+        (told.write if self.keep_prefix else told.write_summary)(tensordict)
+        raw = self.inputs.unnormalize(chain[:, -1, :, : self.action_size]).to(home)
         if self.action_limit is not None:
             raw = raw.clamp(-self.action_limit, self.action_limit)
         tensordict.set(CHUNK, raw[:, : self.executed])
@@ -260,7 +265,9 @@ class LeRobotPolicy(TensorDictModuleBase):
             velocity, self.noise, chain.to(self.device), noisy
         )
         return PathDistribution(
-            chain, self._per_level(log_prob), self._per_level(entropy)
+            chain,
+            self._per_level(log_prob).to(chain.device),
+            self._per_level(entropy).to(chain.device),
         )
 
     def imitation_loss(self, tensordict: TensorDictBase) -> torch.Tensor:

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import torch
 from lerobot.policies.common.vla_utils import make_att_2d_masks
+from lerobot.policies.factory import get_policy_class
 from lerobot.utils.constants import OBS_LANGUAGE_ATTENTION_MASK, OBS_LANGUAGE_TOKENS
 from torch import nn
 
@@ -80,3 +82,34 @@ class SmolVLAModel(FlowModel):
             getattr(module, "gradient_checkpointing", False)
             for module in self.model.modules()
         )
+
+
+def build_smolvla(config: Any) -> Any:
+    """Return LeRobot's policy with weights that a checkpoint is about to fill.
+
+    With ``load_vlm_weights=true`` LeRobot would first read SmolVLM's own weights from
+    the Hub, in bfloat16. The precision stays that, and the option, which is written
+    back, as it was.
+    """
+    blank = copy.copy(config)
+    blank.load_vlm_weights = False
+    policy = get_policy_class(config.type)(blank)
+    if config.load_vlm_weights:
+        _to_bfloat16(policy.model.vlm_with_expert)
+        policy.config.load_vlm_weights = True
+    return policy
+
+
+def _to_bfloat16(model: Any) -> None:
+    """Give a model without weights the precision that SmolVLM's would bring along."""
+    spared: set[int] = set()
+    if "cross" in model.attention_mode:
+        every = model.self_attn_every_n_layers
+        for place, layer in enumerate(model.lm_expert.layers):
+            # LeRobot puts projections of its own in here, in the default precision.
+            if every < 1 or place % every:
+                own = (layer.self_attn.k_proj, layer.self_attn.v_proj)
+                spared |= {id(p) for module in own for p in module.parameters()}
+    for parameter in model.parameters():
+        if id(parameter) not in spared:
+            parameter.data = parameter.data.to(torch.bfloat16)

@@ -129,6 +129,11 @@ class OpenVLAPolicy(TensorDictModuleBase):
         images = read(tensordict, IMAGE).to(self.device)
         return images, self.tokens[ids], self.token_mask[ids]
 
+    @torch.no_grad()
+    def new_summary(self, tensordict: TensorDictBase) -> torch.Tensor:
+        """Return what critics read [B, W] of the observations of a batch (B,)."""
+        return self.model.read(*self._inputs(tensordict)).state.float()
+
     def _logits(self, states: torch.Tensor) -> torch.Tensor:
         return self.model.action_logits(states) / self.temperature
 
@@ -144,9 +149,13 @@ class OpenVLAPolicy(TensorDictModuleBase):
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write sample, log-probability, chunk, action and summary."""
+        """Write sample, log-probability, chunk, action and summary.
+
+        All of it lies where the observations do.
+        """
+        home = read(tensordict, IMAGE).device
         prompt = self.model.read(*self._inputs(tensordict))
-        tensordict.set(SUMMARY, prompt.state.float())
+        tensordict.set(SUMMARY, prompt.state.float().to(home))
         state, first = prompt.state, self.model.config.first_action_token
         explores = interaction_type() in (None, InteractionType.RANDOM)
         drawn: list[torch.Tensor] = []
@@ -163,9 +172,9 @@ class OpenVLAPolicy(TensorDictModuleBase):
             log_probs.append(log_softmax.gather(-1, token.unsqueeze(-1)).squeeze(-1))
         sample = torch.stack(drawn, -1).unsqueeze(1)
         each = torch.stack(log_probs, -1).unsqueeze(1)
-        tensordict.set(SAMPLE, sample)
-        tensordict.set(LOG_PROB, per_level(each, self.log_prob_level))
-        raw = self.tokenizer.decode(sample).float()
+        tensordict.set(SAMPLE, sample.to(home))
+        tensordict.set(LOG_PROB, per_level(each, self.log_prob_level).to(home))
+        raw = self.tokenizer.decode(sample).float().to(home)
         if self.action_limit is not None:
             raw = raw.clamp(-self.action_limit, self.action_limit)
         tensordict.set(CHUNK, raw)
@@ -185,7 +194,9 @@ class OpenVLAPolicy(TensorDictModuleBase):
         entropy = -(log_probs.exp() * log_probs).sum(-1)
         level = self.log_prob_level
         return PathDistribution(
-            sample, per_level(chosen, level), per_level(entropy, level)
+            sample,
+            per_level(chosen, level).to(sample.device),
+            per_level(entropy, level).to(sample.device),
         )
 
     def imitation_loss(self, tensordict: TensorDictBase) -> torch.Tensor:

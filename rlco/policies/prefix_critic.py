@@ -8,9 +8,10 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 
+from rlco.errors import DataError
 from rlco.keys import STATE_VALUE
 from rlco.policies.mlp import Mlp
-from rlco.policies.prefix_cache import SUMMARY, Prefix
+from rlco.policies.prefix_cache import SUMMARY
 
 
 class PrefixCritic(TensorDictModuleBase):
@@ -42,15 +43,25 @@ class PrefixCritic(TensorDictModuleBase):
         self.out_keys = [STATE_VALUE]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write ``state_value`` [*B, 1] into ``tensordict``."""
-        summary = tensordict.get(SUMMARY)
+        """Write ``state_value`` [*B, 1] into ``tensordict``.
+
+        Raises:
+            DataError: there is no summary.
+        """
+        summary = tensordict.get(SUMMARY, None)
+        if summary is None:
+            raise DataError(
+                f"the batch has no {SUMMARY!r}, which this critic reads; policies "
+                "write it beside their sample, and add_next_summaries adds it to a "
+                "rollout's next observations (RolloutCollector's prepare=)."
+            )
         value = self.network(self.norm(summary.to(self.norm.weight)))
         tensordict.set(STATE_VALUE, value.to(summary.device))
         return tensordict
 
 
 def add_next_summaries(
-    rollout: TensorDictBase, prefix: Callable[[TensorDictBase], Prefix]
+    rollout: TensorDictBase, summary: Callable[[TensorDictBase], torch.Tensor]
 ) -> None:
     """Give the next observations of a rollout [N, T] their summaries too.
 
@@ -59,10 +70,8 @@ def add_next_summaries(
 
     Args:
         rollout: whole episodes, one a row, summaries beside the observations.
-        prefix: of a batch of observations, the policy's.
+        summary: of a batch of observations, the policy's ``new_summary``.
     """
-    last = rollout["next"][:, -1]
-    with torch.no_grad():
-        final = prefix(last).summary.to(rollout[SUMMARY].device)
+    final = summary(rollout["next"][:, -1]).to(rollout[SUMMARY].device)
     following = torch.cat([rollout[SUMMARY][:, 1:], final.unsqueeze(1)], 1)
     rollout.set(("next", *SUMMARY), following)

@@ -15,7 +15,10 @@ from rlco.policies import GaussianPolicy, ValueNetwork, make_policy
 KINDS: list[tuple[str, dict[str, Any]]] = [
     ("gaussian", {}),
     *(("token", {"log_prob_level": level}) for level in ("chunk", "action", "token")),
-    ("token", {"temperature": 1.6}),
+    *(
+        ("token", {"temperature": 1.6, "log_prob_level": level})
+        for level in ("chunk", "token")
+    ),
     *(
         (
             "flow",
@@ -24,7 +27,11 @@ KINDS: list[tuple[str, dict[str, Any]]] = [
         for method in ("flow_noise", "flow_sde")
         for steps, reduction in (("all", "mean"), ("all", "sum"), ("one", "mean"))
     ),
-    *(("flow", {"log_prob_level": level}) for level in ("action", "token")),
+    *(
+        ("flow", {"log_prob_level": level, "denoise_reduction": reduction})
+        for level in ("action", "token")
+        for reduction in ("mean", "sum")
+    ),
     ("flow", {"method": "fpo"}),
 ]
 

@@ -110,6 +110,50 @@ def test_a_text_that_was_never_trained_is_refused(exported: tuple[Any, Path]) ->
         theirs.select_action(given)
 
 
+def test_a_robot_that_does_not_see_the_objects_is_told_so(
+    exported: tuple[Any, Path],
+) -> None:
+    _, path = exported
+    config = PreTrainedConfig.from_pretrained(path)
+    theirs = get_policy_class("rlco").from_pretrained(path, config=config)
+    given = batch()
+    del given["observation.environment_state"]
+    with pytest.raises(
+        DataError, match=r"reads observation.environment_state.*gives observation.state"
+    ):
+        theirs.select_action(given)
+
+
+def test_a_policy_that_sees_reads_lerobots_camera(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    sizes = {"state_size": 3, "num_instructions": 2, "chunk": 4, "hidden": (16,)}
+    policy = make_policy("gaussian", image={"kind": "conv", "size": (64, 64)}, **sizes)
+    for parameter in policy.parameters():
+        torch.nn.init.normal_(parameter, 0.0, 0.3)
+    save_policy(policy, tmp_path / "ours", extra={"instructions": INSTRUCTIONS})
+    path = export_policy(tmp_path / "ours", tmp_path / "theirs", camera="wrist")
+    config = PreTrainedConfig.from_pretrained(path)
+    theirs = get_policy_class("rlco").from_pretrained(path, config=config)
+    pre, post = make_pre_post_processors(config, pretrained_path=str(path))
+    pixels = torch.randint(256, (2, 3, 64, 64), dtype=torch.uint8)
+    state = torch.randn(2, 3)
+    td = TensorDict(
+        {
+            "observation": {"state": state, "image": pixels},
+            "instruction_id": torch.tensor([1, 0]),
+        },
+        [2],
+    )
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        expected = policy(td)["action"]
+    given = {
+        "observation.state": state,
+        "observation.images.wrist": pixels.float() / 255,
+        "task": INSTRUCTIONS[::-1],
+    }
+    torch.testing.assert_close(post(theirs.select_action(pre(given))), expected[:, 0])
+
+
 def test_an_exported_policy_is_not_overwritten(exported: tuple[Any, Path]) -> None:
     _, path = exported
     with pytest.raises(OutputExistsError):

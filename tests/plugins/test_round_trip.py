@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import importlib
 import json
 import logging
@@ -13,9 +14,15 @@ from typing import Any
 import pytest
 import torch
 from lerobot.scripts import lerobot_eval, lerobot_train
+from lerobot_policy_rlco.export import export_policy
 from safetensors.torch import load_file
+from tensordict import TensorDict
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 from vla_files import record, tiny_with_statistics
 
+from rlco.physics.gymnasium_env import TaskEnv
+from rlco.physics.task import make_task
+from rlco.policies import make_policy, save_policy, task_sizes
 from rlco.run import run_recipe
 
 RECIPES = Path(__file__).parents[2] / "recipes"
@@ -74,7 +81,19 @@ def test_the_type_the_names_and_the_statistics_stay(tiny: Path, trained: Path) -
     assert moved
     assert not any(".vlm." in name or "state_proj" in name for name in moved)
     beside = {file.name for file in (trained.parent / "rlco_state").iterdir()}
-    assert {"critic.safetensors", "noise.safetensors"} <= beside
+    assert beside == {"critic.safetensors", "noise.safetensors"}
+
+
+def test_it_is_told_how_hard_the_anchor_pulls(trained: Path) -> None:
+    run = trained.parents[3]
+    with (run / "metrics.csv").open() as file:
+        told = [row for row in csv.DictReader(file) if row["first_ratio"]]
+    assert len(told) == 2
+    for row in told:
+        ratio = float(row["grad_norm_real"]) / float(row["grad_norm_sim"])
+        assert float(row["grad_norm_ratio"]) == pytest.approx(ratio)
+        assert ratio > 0
+        assert -1 <= float(row["grad_cosine"]) <= 1
 
 
 def test_stock_lerobot_eval_runs_it(
@@ -97,6 +116,55 @@ def test_stock_lerobot_eval_runs_it(
     told = json.loads((tmp_path / "eval_info.json").read_text())
     assert told["overall"]["n_episodes"] == 2
     assert len(told["overall"]["video_paths"]) == 2
+
+
+def test_stock_lerobot_eval_runs_a_small_policy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = make_task("push_cube")
+    torch.manual_seed(0)
+    policy = make_policy("gaussian", chunk=4, hidden=(8,), **task_sizes(task))
+    for parameter in policy.parameters():
+        torch.nn.init.normal_(parameter, 0.0, 0.3)
+    save_policy(policy, tmp_path / "ours", extra=task.description())
+    path = export_policy(tmp_path / "ours", tmp_path / "theirs", executed=2)
+    command(
+        monkeypatch,
+        lerobot_eval,
+        f"--policy.path={path}",
+        "--env.type=rlco",
+        "--env.task=push_cube",
+        "--env.horizon=4",
+        "--eval.n_episodes=1",
+        "--eval.batch_size=1",
+        "--eval.use_async_envs=false",
+        "--seed=5",
+        f"--output_dir={tmp_path / 'told'}",
+    )
+    told = json.loads((tmp_path / "told" / "eval_info.json").read_text())
+    # What the policy earns in the task itself, two steps of each chunk of four.
+    episode = TaskEnv(task, horizon=4)
+    observation, info = episode.reset(seed=5)
+    earned = 0.0
+    for _ in range(2):
+        seen = {"state": "agent_pos", "environment_state": "environment_state"}
+        td = TensorDict(
+            {
+                "observation": {
+                    ours: torch.as_tensor(observation[theirs]).float().unsqueeze(0)
+                    for ours, theirs in seen.items()
+                },
+                "instruction_id": torch.tensor([info["instruction_id"]]),
+            },
+            [1],
+        )
+        with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+            chunk = policy(td)["action"][0].numpy()
+        for action in chunk[:2]:
+            observation, reward, _, _, info = episode.step(action)
+            earned += float(reward)
+    assert told["overall"]["avg_sum_reward"] == pytest.approx(earned, rel=1e-5)
+    assert earned != 0
 
 
 def test_stock_lerobot_train_resumes_it(

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import importlib.util
+from functools import partial
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
+import pytest
 import torch
 from safetensors.torch import load_file
 from vla_files import record, tiny_with_statistics
+
+from rlco.data import load_demos
+from rlco.errors import NoSignalError
+from rlco.physics.task import make_task
+from rlco.policies.lerobot_checkpoint import load_lerobot
+from rlco.policies.lerobot_policies import LeRobotPolicy
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "docs" / "co_train_lerobot.py"
@@ -36,10 +45,69 @@ def test_a_checkpoint_is_loaded_co_trained_and_saved_back(tmp_path: Path) -> Non
     assert not any(".vlm." in name for name in moved)
 
 
+def test_the_policy_learns_slowly_and_what_is_new_beside_it_fast(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = load_script()
+    made = []
+
+    class Seen(torch.optim.AdamW):
+        def __init__(self, *args: Any, **options: Any) -> None:
+            super().__init__(*args, **options)
+            made.append(self)
+
+    monkeypatch.setattr(torch.optim, "AdamW", Seen)
+    monkeypatch.setattr(script, "make_env", partial(script.make_env, horizon=8))
+    source = tiny_with_statistics(tmp_path / "tiny")
+    demos = record(tmp_path / "demos")
+    script.co_train(source, demos, tmp_path / "out", iterations=1, num_envs=2)
+    optimizer = made[0]  # saving builds another, for lerobot-train
+    rates = [group["lr"] for group in optimizer.param_groups]
+    assert rates == [4e-6, 2e-4]
+    moved = [
+        {tuple(p.shape) for p in group["params"] if p in optimizer.state}
+        for group in optimizer.param_groups
+    ]
+    # The critic's first layer reads a summary, the noise's last one makes 32 numbers.
+    assert {(512, 48), (32, 64)} <= moved[1]
+    assert not {(512, 48), (32, 64)} & moved[0]
+
+
+def test_no_success_at_all_is_said_before_training(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    script = load_script()
+    sparse = partial(script.make_env, reward="sparse", horizon=8)
+    monkeypatch.setattr(script, "make_env", sparse)
+    source = tiny_with_statistics(tmp_path / "tiny")
+    demos = record(tmp_path / "demos")
+    with pytest.raises(NoSignalError):
+        script.co_train(source, demos, tmp_path / "out", iterations=1, num_envs=2)
+    assert not (tmp_path / "out").exists()
+
+
+def test_stage_one_imitates_both_kinds_of_data(tmp_path: Path) -> None:
+    source = tiny_with_statistics(tmp_path / "tiny")
+    demos = record(tmp_path / "sim"), record(tmp_path / "real")
+    saved = load_script().imitate(source, *demos, tmp_path / "out", updates=30)
+    texts = make_task("push_cube").instructions
+
+    def error(folder: Path) -> float:
+        policy = LeRobotPolicy(load_lerobot(folder), instructions=texts)
+        frames = load_demos(demos[0], chunk=policy.chunk, instructions=texts)[:]
+        torch.manual_seed(0)
+        with torch.no_grad():
+            losses = [policy.imitation_loss(frames).mean() for _ in range(8)]
+        return float(torch.stack(losses).mean())
+
+    assert error(saved) < 0.95 * error(source)
+
+
 def test_the_documentation_shows_what_is_run() -> None:
     shown = (ROOT / "docs" / "vla.md").read_text("utf-8")
-    body = SCRIPT.read_text("utf-8").split("def co_train", 1)[1]
-    assert body in shown
+    imitate, co_train = SCRIPT.read_text("utf-8").split("def ")[1:]
+    assert imitate.strip() in shown
+    assert co_train in shown
 
 
 def test_the_readme_shows_what_is_run() -> None:

@@ -14,6 +14,7 @@ import torch
 from lerobot.configs import PreTrainedConfig
 from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 from safetensors.torch import load_file, save_file
+from transformers import AutoConfig, SmolVLMForConditionalGeneration
 from vla_cases import KINDS, actor, folder, rows
 
 from rlco.errors import CheckpointError
@@ -52,6 +53,37 @@ def test_every_weight_comes_from_the_file(kind: str) -> None:
     assert saved
     for name, value in saved.items():
         assert torch.equal(loaded[name], value), name
+
+
+def test_smolvlms_own_weights_are_not_asked_for(
+    copied: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # As LeRobot builds it where SmolVLM's weights lie beside its configuration.
+    whole = copied.parent / "vlm"
+    shutil.copytree(copied / "vlm", whole)
+    source = SmolVLMForConditionalGeneration(AutoConfig.from_pretrained(whole))
+    source.save_pretrained(whole)
+    configure(copied, load_vlm_weights=True, vlm_model_name=str(whole))
+    config = PreTrainedConfig.from_pretrained(copied)
+    theirs = dict(get_policy_class("smolvla")(config).named_parameters())
+    # Without them, and without a network.
+    shutil.rmtree(whole)
+    shutil.copytree(copied / "vlm", whole)
+    monkeypatch.setenv("HF_HUB_OFFLINE", "1")
+    checkpoint = load_lerobot(copied)
+    ours = dict(checkpoint.model.policy.named_parameters())
+    assert {k: v.dtype for k, v in ours.items()} == {
+        k: v.dtype for k, v in theirs.items()
+    }
+    assert {v.dtype for v in ours.values()} == {torch.bfloat16, torch.float32}
+    saved = load_file(copied / "model.safetensors")
+    for name, value in ours.items():
+        assert torch.equal(value, saved[name].to(value.dtype)), name
+    policy = LeRobotPolicy(checkpoint, instructions=("push", "pull"))
+    assert torch.isfinite(policy.imitation_loss(rows(2))).all()
+    # What is written back is what was read.
+    again = save_lerobot(checkpoint, tmp_path / "out", step=1)
+    assert json.loads((again / "config.json").read_text())["load_vlm_weights"] is True
 
 
 def test_names_without_lerobots_prefix_are_those_of_openpi(tmp_path: Path) -> None:

@@ -146,8 +146,11 @@ def test_gradients_are_those_of_finite_differences(kind: str, trained: Any) -> N
 
 
 @both
-def test_a_kept_prefix_changes_no_log_probability_and_no_gradient(kind: str) -> None:
-    policy = still(kind)
+@pytest.mark.parametrize("dtype", ["float32", "bfloat16"])
+def test_a_kept_prefix_changes_no_log_probability_and_no_gradient(
+    kind: str, dtype: str
+) -> None:
+    policy = still(kind, dtype=dtype)
     td = rollout(policy)
     expert = [p for p in policy.parameters() if p.requires_grad]
     kept = log_prob(policy, td)
@@ -285,9 +288,13 @@ def test_critics_read_what_the_policy_wrote_and_do_not_move_it(kind: str) -> Non
 # -- What is refused ---------------------------------------------------------------
 
 
-def test_gradient_checkpointing_is_refused() -> None:
-    policy = actor("pi05")
-    policy.policy.model.gradient_checkpointing_enable()
+@both
+def test_gradient_checkpointing_is_refused(kind: str) -> None:
+    policy = actor(kind)
+    model = policy.policy.model
+    if kind == "smolvla":  # LeRobot has no switch of its own; transformers has
+        model = model.vlm_with_expert.vlm
+    model.gradient_checkpointing_enable()
     with pytest.raises(ConfigError, match="gradient_checkpointing=false"):
         policy(rows(2))
 
@@ -303,8 +310,11 @@ def test_chunks_of_another_length_are_refused(kind: str) -> None:
     ("options", "message"),
     [
         ({"executed": 9}, "executed=9 must be 1 to 8"),
+        ({"executed": 0}, "executed=0 must be 1 to 8"),
+        ({"steps": 0}, "steps=0 must be at least 1"),
         ({"trained": "half"}, "unknown trained 'half'"),
         ({"method": "fpo2"}, "unknown method 'fpo2'"),
+        ({"noise_range": (0.0, 0.1)}, "0 < least <= greatest"),
         ({"instructions": ()}, "without a text"),
         ({"camera": "observation.images.wrist"}, "observation.images.front"),
     ],

@@ -96,7 +96,7 @@ def test_the_next_observation_is_that_of_the_next_decision() -> None:
     rollout = episodes.clone().set(SUMMARY, summary)
     following = torch.stack([episodes[:, 1], episodes[:, 2], last], 1)
     rollout.set("next", following.clone())
-    add_next_summaries(rollout, policy.prefix)
+    add_next_summaries(rollout, policy.new_summary)
     # As if every next observation had passed through the model.
     expected = policy.prefix(following.reshape(-1)).summary.reshape(2, 3, -1)
     torch.testing.assert_close(rollout["next", *SUMMARY], expected)

@@ -10,7 +10,7 @@ from typing import Any
 
 from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.policies.factory import make_pre_post_processors
-from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_STATE
+from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
 from lerobot_policy_rlco.configuration_rlco import RlcoConfig
 from lerobot_policy_rlco.modeling_rlco import RlcoPolicy
@@ -23,6 +23,7 @@ def export_policy(
     folder: str | os.PathLike[str],
     *,
     executed: int | None = None,
+    camera: str = "front",
 ) -> Path:
     """Write a policy that rlco trained as a checkpoint of the type ``rlco``.
 
@@ -30,6 +31,8 @@ def export_policy(
         policy: the folder that a recipe saved.
         folder: where to; it must not exist.
         executed: steps of a chunk that are executed before the next; None: all.
+        camera: last part of LeRobot's name for the camera, where the policy has one:
+            ``front`` for ``observation.images.front``.
 
     Returns:
         The folder, for ``--policy.path``.
@@ -46,6 +49,9 @@ def export_policy(
     inputs = {OBS_STATE: PolicyFeature(FeatureType.STATE, (arguments["state_size"],))}
     if size := arguments["environment_state_size"]:
         inputs[OBS_ENV_STATE] = PolicyFeature(FeatureType.ENV, (size,))
+    if image := arguments.get("image"):
+        shape = (3, *image["size"])
+        inputs[f"{OBS_IMAGES}.{camera}"] = PolicyFeature(FeatureType.VISUAL, shape)
     action = PolicyFeature(FeatureType.ACTION, (arguments["action_size"],))
     config = RlcoConfig(
         kind=actor.kind,
@@ -66,11 +72,12 @@ def export_policy(
 
 
 def main() -> None:
-    """Run ``rlco-to-lerobot POLICY FOLDER``."""
-    if len(sys.argv) != 3:
-        sys.exit("usage: rlco-to-lerobot POLICY FOLDER")
+    """Run ``rlco-to-lerobot POLICY FOLDER [CAMERA]``."""
+    if len(sys.argv) not in (3, 4):
+        sys.exit("usage: rlco-to-lerobot POLICY FOLDER [CAMERA]")
+    policy, folder, *camera = sys.argv[1:]
     try:
-        path = export_policy(sys.argv[1], sys.argv[2])
+        path = export_policy(policy, folder, camera=camera[0] if camera else "front")
     except RlcoError as error:
         sys.stderr.write(f"error: {error}\n")
         sys.exit(2)

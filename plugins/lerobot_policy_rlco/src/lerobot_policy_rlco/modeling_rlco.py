@@ -45,11 +45,31 @@ class RlcoPolicy(PreTrainedPolicy):
         self._queue: deque[torch.Tensor] = deque()
 
     def _rows(self, batch: dict[str, Any]) -> TensorDict:
-        """Return LeRobot's batch under rlco's keys."""
+        """Return LeRobot's batch under rlco's keys.
+
+        Raises:
+            DataError: it lacks a feature that the policy reads, or its task is new.
+        """
+        names: dict[Any, str] = {
+            keys.STATE: OBS_STATE,
+            keys.ENVIRONMENT_STATE: OBS_ENV_STATE,
+            **dict.fromkeys([keys.IMAGE], next(iter(self.config.image_features), "")),
+        }
+        read = {key: names[key] for key in self.actor.in_keys if key in names}
+        if missing := [name for name in read.values() if name not in batch]:
+            held = sorted(name for name in batch if name.startswith("observation."))
+            raise DataError(
+                f"the policy reads {' and '.join(missing)}, which the robot or the "
+                f"environment does not give (it gives {', '.join(held) or 'nothing'}); "
+                "add it there, or train a policy that does not read it."
+            )
         state = batch[OBS_STATE]
-        rows = TensorDict({keys.STATE: state}, [len(state)])
-        if OBS_ENV_STATE in batch:
-            rows.set(keys.ENVIRONMENT_STATE, batch[OBS_ENV_STATE])
+        rows = TensorDict(batch_size=[len(state)])
+        for key, name in read.items():
+            rows.set(key, batch[name])
+        if keys.IMAGE in read:  # LeRobot's frames are fractions of full brightness
+            pixels = (batch[read[keys.IMAGE]] * 255).round().to(torch.uint8)
+            rows.set(keys.IMAGE, pixels)
         if keys.INSTRUCTION_ID in self.actor.in_keys:
             ids = [self._instruction(text) for text in batch["task"]]
             rows.set(keys.INSTRUCTION_ID, torch.tensor(ids, device=state.device))

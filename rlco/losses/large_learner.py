@@ -1,0 +1,60 @@
+"""One rollout's worth of training for models of billions of weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from tensordict import TensorDictBase
+from torch.nn.utils import clip_grad_norm_
+
+from rlco.losses.learner import CRITIC_GRAD_NORM, Learner
+
+
+@dataclass
+class LargeLearner(Learner):
+    """A learner whose updates follow several minibatches at once.
+
+    The actor's optimiser holds what LeRobot's own training optimises, and nothing
+    else, so that LeRobot can go on with it.
+
+    Attributes:
+        policy: Has also ``noise``, the network of its steps' noise.
+        critic_optimizer: Of what is learned from scratch: the critic where there is
+            one, and ``policy.noise``, which moves when the policy does.
+        accumulate: Minibatches whose gradients make one update.
+    """
+
+    accumulate: int = 1
+    _waiting: int = field(default=0, init=False)
+
+    def update(
+        self, rollout: TensorDictBase, epochs: int, *, train_policy: bool = True
+    ) -> dict[str, float]:
+        """Pass over a rollout, see `rlco.losses.Learner.update`."""
+        row = super().update(rollout, epochs, train_policy=train_policy)
+        if self._waiting:
+            self._follow(train_policy=train_policy)
+        return row
+
+    def _step(self, out: TensorDictBase, *, train_policy: bool) -> None:
+        terms = [value for name, value in out.items() if name.startswith("loss_")]
+        (sum(terms) / self.accumulate).backward()
+        self._waiting += 1
+        if self._waiting == self.accumulate:
+            self._follow(train_policy=train_policy)
+
+    def _follow(self, *, train_policy: bool) -> None:
+        """Follow the gradients that have come together, and forget them."""
+        if train_policy:
+            # The noise is how the policy explores: both are clipped as one.
+            clip_grad_norm_(self.policy.parameters(), self.max_grad_norm)
+            self.actor_optimizer.step()
+        else:
+            self.policy.noise.zero_grad()
+        if self.critic is not None:
+            clip_grad_norm_(self.critic.parameters(), CRITIC_GRAD_NORM)
+        if self.critic_optimizer is not None:
+            self.critic_optimizer.step()
+            self.critic_optimizer.zero_grad()
+        self.actor_optimizer.zero_grad()
+        self._waiting = 0
