@@ -22,8 +22,9 @@ from typing import TYPE_CHECKING, Any
 import find_gap
 import record_demos
 import sft
+from policy_options import KindOptions, shared
 
-from rlco.config import RunOptions, option
+from rlco.config import option
 from rlco.run import Run, run_recipe
 
 if TYPE_CHECKING:
@@ -47,7 +48,7 @@ GAIN = (5.0, 5.0, 5.0, 2.0, 2.0, 2.0, 0.0)  # of actions that follow them [1/m, 
 
 
 @dataclass
-class Config(RunOptions):
+class Config(KindOptions):
     """Options of close_loop.py."""
 
     name: str = option("close_loop", "name of the run, a part of its folder's name")
@@ -200,6 +201,7 @@ def train(config: Config, run: Run, method: str, seed: int, effects: str | None)
         sim_demos=str(demos),
         sim_ratio=1.0,
         updates=config.updates,
+        **shared(config, KindOptions),
     )
     data = sft.load(options)
     (run.path / "stages").mkdir(exist_ok=True)
@@ -262,6 +264,7 @@ def main(config: Config) -> None:
 
     make_task(config.task)
     make_domain(config.simulator)
+    sft.new_policy(sft.Config(task=config.task, **shared(config, KindOptions)))
     with Run(config, "close_loop") as run:
         hidden = run.path / "hidden.yaml"
         effects = hide(config, hidden)

@@ -39,6 +39,8 @@ class Config(RunOptions):
 
 def main(config: Config) -> None:
     """Evaluate, film, and write results.json."""
+    from policy_options import check_pictures
+
     from rlco.evaluation import EVALUATION_SEED, evaluate, evaluation_env, record_video
     from rlco.physics.camera import check_rendering
     from rlco.physics.named_task import named_task
@@ -47,6 +49,7 @@ def main(config: Config) -> None:
     if config.videos:
         check_rendering()
     policy = load_task_policy(config.policy, named_task(config.task))
+    check_pictures(policy, config.task)
     env = evaluation_env(
         config.task,
         config.domain,
@@ -55,6 +58,7 @@ def main(config: Config) -> None:
         backend=config.backend,
         variation=config.variation,
         effects=config.effects,
+        image_size=policy.image_size,
         seed=EVALUATION_SEED + config.seed,
     )
     with Run(config, "evaluate") as run:

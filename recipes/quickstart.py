@@ -19,8 +19,9 @@ from typing import Any, Literal
 import record_demos
 import rl_co
 import sft
+from policy_options import SIM_CAMERA, AugmentOptions, PolicyOptions, shared
 
-from rlco.config import RunOptions, option
+from rlco.config import option
 from rlco.errors import RenderingError, UnknownNameError
 from rlco.run import Run, run_recipe
 
@@ -29,7 +30,7 @@ METHODS = ("real_only", "sft", "rl_only", "rl_co")
 
 
 @dataclass
-class Config(RunOptions):
+class Config(PolicyOptions):
     """Options of quickstart.py."""
 
     name: str = option("quickstart", "name of the run, a part of its folder's name")
@@ -37,7 +38,6 @@ class Config(RunOptions):
     methods: list[str] = option(
         ["real_only", "sft", "rl_co"], f"which to compare: {', '.join(METHODS)}"
     )
-    policy: Literal["gaussian", "token", "flow"] = option("gaussian", "kind of policy")
     sim_demos: int = option(12, "demonstrations to record in sim", minimum=1)
     real_demos: int = option(6, "demonstrations to record in stand_in", minimum=1)
     heldout_demos: int = option(
@@ -64,6 +64,7 @@ def record(config: Config, folder: Path) -> dict[str, str]:
         "real": ("stand_in", config.real_demos, 3 * config.seed + 1),
         "heldout": ("stand_in", config.heldout_demos, 3 * config.seed + 2),
     }
+    seen = config.image != "none"
     folders = {}
     for name, (domain, episodes, seed) in plan.items():
         path = folder / name
@@ -78,6 +79,8 @@ def record(config: Config, folder: Path) -> dict[str, str]:
                     task=config.task,
                     domain=domain,
                     episodes=episodes,
+                    camera=SIM_CAMERA if seen else None,
+                    image_size=config.image_size if seen else None,
                     # Far from the seeds of rollouts and of evaluations.
                     seed=500_000 + seed,
                 )
@@ -105,6 +108,22 @@ def stage_two(
         advantage=config.advantage,
         eval_every=config.eval_every,
         eval_episodes=config.curve_episodes,
+        **shared(config, AugmentOptions),
+    )
+
+
+def stage_one(config: Config, demos: dict[str, str], method: str) -> sft.Config:
+    """Return the options of a run of Stage I."""
+    return sft.Config(
+        name=method,
+        seed=config.seed,
+        threads=config.threads,
+        task=config.task,
+        sim_demos=demos["sim"],
+        real_demos=demos["real"],
+        sim_ratio=0.0 if method == "real_only" else config.sim_ratio,
+        updates=config.updates,
+        **shared(config, PolicyOptions),
     )
 
 
@@ -119,17 +138,7 @@ def train(config: Config, run: Run, demos: dict[str, str]) -> dict[str, Any]:
             continue
         folder = f"stages/{method}"
         if method in ("real_only", "sft"):
-            options = sft.Config(
-                name=method,
-                seed=config.seed,
-                threads=config.threads,
-                task=config.task,
-                policy=config.policy,
-                sim_demos=demos["sim"],
-                real_demos=demos["real"],
-                sim_ratio=0.0 if method == "real_only" else config.sim_ratio,
-                updates=config.updates,
-            )
+            options = stage_one(config, demos, method)
             data = sft.load(options)
             (run.path / "stages").mkdir(exist_ok=True)
             with run.stage(options, "sft", folder) as stage:
@@ -148,13 +157,14 @@ def compare(config: Config, policies: dict[str, Any]) -> list[Any]:
 
     rows = []
     for domain in ("sim", "stand_in"):
-        chunk = next(iter(policies.values())).chunk
+        one = next(iter(policies.values()))
         # Other initial states than those of the learning curves.
         env = evaluation_env(
             config.task,
             domain,
-            chunk=chunk,
+            chunk=one.chunk,
             episodes=config.eval_episodes,
+            image_size=one.image_size,
             seed=EVALUATION_SEED + 1 + config.seed,
         )
         for method, policy in policies.items():
@@ -233,7 +243,9 @@ def main(config: Config) -> None:
     from rlco.report import write_report
 
     make_task(config.task)
-    rl_co.check(stage_two(config, Path(), {"real": "", "heldout": ""}, "rl_co"))
+    nowhere = {"sim": "", "real": "", "heldout": ""}
+    rl_co.check(stage_two(config, Path(), nowhere, "rl_co"))
+    sft.check(stage_one(config, nowhere, "sft"))
     with Run(config, "quickstart") as run:
         demos = record(config, run.path / "data")
         policies = train(config, run, demos)

@@ -2,6 +2,7 @@
 
     uv run recipes/record_demos.py domain=sim episodes=60 out=demos/sim
     uv run recipes/record_demos.py domain=stand_in episodes=20 out=demos/stand_in
+    uv run recipes/record_demos.py out=demos/seen camera=agentview image_size=64
 
 The domain ``stand_in`` is a second simulator that plays the robot's part. With a
 robot at hand, record there instead, with LeRobot, and give that folder to sft.py.
@@ -11,10 +12,17 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from rlco.config import REQUIRED, option
-from rlco.errors import RlcoError
+from rlco.errors import ConfigError, RlcoError
 from rlco.run import run_recipe
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from rlco.physics.domain import Domain
+    from rlco.physics.task import Task
 
 log = logging.getLogger("rlco.record_demos")
 
@@ -32,6 +40,11 @@ class Config:
     )
     seed: int = option(0, "seed of initial states and noise", minimum=0)
     effects: str | None = option(None, "effects.yaml: what to add to the simulator")
+    camera: str | None = option(
+        None, "camera to record, such as agentview; null: no pictures"
+    )
+    image_size: int | None = option(None, "side of its pictures [pixels]", minimum=16)
+    video: bool = option(False, "keep pictures as video, small and lossy, not as PNG")
 
 
 def record(config: Config) -> int:
@@ -39,7 +52,6 @@ def record(config: Config) -> int:
     from tqdm import tqdm
 
     from rlco.data import DemoWriter
-    from rlco.physics.demonstrate import demonstrate
     from rlco.physics.domain import make_domain
     from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
     from rlco.physics.robosuite_tasks import PREFIX
@@ -51,6 +63,8 @@ def record(config: Config) -> int:
             "demonstrations of it elsewhere and give their LeRobot folder to sft.py."
         )
     task, domain = make_task(config.task), make_domain(config.domain)
+    demonstrations = played(config, task, domain)
+    size = config.image_size
     frames = 0
     with DemoWriter(
         config.out,
@@ -59,22 +73,18 @@ def record(config: Config) -> int:
         environment_state_names=task.environment_state_names,
         action_names=ACTION_NAMES,
         robot_type=f"panda_{domain.name}",
+        camera=config.camera,
+        image_size=None if size is None else (size, size),
+        video=config.video,
     ) as writer:
-        demonstrations = demonstrate(
-            task,
-            domain,
-            episodes=config.episodes,
-            seed=config.seed,
-            noise=config.noise,
-            effects=config.effects,
-        )
-        for demonstration in tqdm(
+        for demonstration, pictures in tqdm(
             demonstrations, "episodes", total=config.episodes, disable=None
         ):
-            for state, environment_state, action in zip(
+            for state, environment_state, action, image in zip(
                 demonstration.state,
                 demonstration.environment_state,
                 demonstration.action,
+                pictures,
                 strict=True,
             ):
                 writer.add_frame(
@@ -82,10 +92,35 @@ def record(config: Config) -> int:
                     environment_state=environment_state,
                     action=action,
                     task=demonstration.instruction,
+                    image=image,
                 )
             writer.save_episode()
             frames += len(demonstration.action)
     return frames
+
+
+def played(config: Config, task: Task, domain: Domain) -> Iterator[tuple[Any, Any]]:
+    """Return demonstrations, each with its pictures: None a frame without a camera."""
+    from rlco.data import film_demonstrations
+    from rlco.physics.demonstrate import demonstrate
+
+    options: dict[str, Any] = {
+        "episodes": config.episodes,
+        "seed": config.seed,
+        "noise": config.noise,
+        "effects": config.effects,
+    }
+    if (config.camera is None) != (config.image_size is None):
+        raise ConfigError(
+            ["camera and image_size belong together; give both or neither"]
+        )
+    if config.camera is None or config.image_size is None:
+        plain = demonstrate(task, domain, **options)
+        return ((one, [None] * len(one.action)) for one in plain)
+    size = (config.image_size, config.image_size)
+    return film_demonstrations(
+        task, domain, camera=config.camera, image_size=size, **options
+    )
 
 
 def main(config: Config) -> None:

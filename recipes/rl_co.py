@@ -12,21 +12,21 @@ from __future__ import annotations
 import logging
 import time
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
+
+from policy_options import AugmentOptions, augment, check_pictures
+from stage_two import fix_poses, make_critic, make_learner
 
 from rlco import keys
-from rlco.config import REQUIRED, RunOptions, option
+from rlco.config import REQUIRED, option
 from rlco.errors import ConfigError
 from rlco.run import Run, run_recipe
-
-if TYPE_CHECKING:
-    from rlco.losses import Learner
 
 log = logging.getLogger("rlco.rl_co")
 
 
 @dataclass
-class Config(RunOptions):
+class Config(AugmentOptions):
     """Options of rl_co.py."""
 
     name: str = option("rl_co", "name of the run, a part of its folder's name")
@@ -35,6 +35,9 @@ class Config(RunOptions):
     real_demos: str | None = option(None, "LeRobot folder of real demonstrations")
     rename: str = option(
         "", "features of real_demos with other names: THEIRS:OURS,THEIRS:OURS"
+    )
+    real_camera: str | None = option(
+        None, "camera of these and of heldout_demos that is read; null: its only one"
     )
     heldout_demos: str | None = option(
         None, "LeRobot folder of real demonstrations to measure forgetting on"
@@ -104,72 +107,26 @@ def load(config: Config) -> tuple[Any, dict[str, Any]]:
     policy = load_task_policy(config.policy, task)
     make_critic(config, policy)  # whether such a policy can have it shows here
     check(config)
+    check_pictures(policy, config.task)
+    if config.augment and policy.image_size is None:
+        raise ConfigError(
+            [f"augment=true changes pictures, but policy {config.policy!r} reads none"]
+        )
     demos = {}
     for name in ("real_demos", "heldout_demos"):
         path = getattr(config, name)
         if path is not None:
             demos[name] = load_task_demos(
-                path, task, chunk=policy.chunk, rename=config.rename
+                path,
+                task,
+                chunk=policy.chunk,
+                rename=config.rename,
+                image_size=policy.image_size,
+                camera=config.real_camera,
+                environment_state=keys.ENVIRONMENT_STATE in policy.in_keys,
             )
+    augment(config, demos.get("real_demos"))
     return policy, demos
-
-
-def make_critic(config: Config, policy: Any) -> Any:
-    """Return the critic, None where the advantages need none."""
-    from rlco.physics.named_task import named_task
-    from rlco.policies import ValueHead, ValueNetwork, task_sizes
-
-    if config.advantage == "mc":
-        return None
-    if config.critic == "head":
-        return ValueHead(policy, hidden=config.critic_hidden)
-    sizes = task_sizes(named_task(config.task))
-    critic = ValueNetwork(hidden=config.critic_hidden, **sizes)
-    critic.encoder.load_state_dict(policy.encoder.state_dict())  # normalises alike
-    return critic
-
-
-def make_learner(
-    config: Config, policy: Any, demos: dict[str, Any], rows: int
-) -> Learner:
-    """Put critic, loss, buffer and optimisers around a policy."""
-    import torch
-    from torchrl.data import LazyTensorStorage, ReplayBuffer
-    from torchrl.objectives import ClipPPOLoss
-
-    from rlco.data import SimRealReplayBuffer
-    from rlco.losses import CoTrainingLoss, ImitationLoss, Learner
-
-    critic = make_critic(config, policy)
-    anchored = config.real_coeff > 0
-    batch_size = config.minibatch + (config.real_rows if anchored else 0)
-    buffer = SimRealReplayBuffer(
-        ReplayBuffer(storage=LazyTensorStorage(rows)),
-        demos["real_demos"] if anchored else None,
-        sim_ratio=config.minibatch / batch_size,
-        batch_size=batch_size,
-    )
-    ppo = ClipPPOLoss(
-        policy,
-        critic,
-        clip_epsilon=config.clip,
-        entropy_bonus=False,
-        critic_coeff=1.0 if critic is not None else None,
-        loss_critic_type="l2",
-    )
-    anchor = ImitationLoss(policy) if anchored else None
-    return Learner(
-        policy,
-        critic,
-        CoTrainingLoss(ppo, anchor, real_coeff=config.real_coeff),
-        buffer,
-        torch.optim.Adam(policy.parameters(), lr=config.lr),
-        None
-        if critic is None
-        else torch.optim.Adam(critic.own_parameters(), lr=config.critic_lr),
-        minibatch=config.minibatch,
-        max_grad_norm=config.max_grad_norm,
-    )
 
 
 def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
@@ -186,11 +143,16 @@ def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
         chunk=policy.chunk,
         reward=config.reward,
         horizon=config.horizon,
+        image_size=policy.image_size,
         seed=config.seed,
     )
     places = {
         domain: evaluation_env(
-            config.task, domain, chunk=policy.chunk, episodes=config.eval_episodes
+            config.task,
+            domain,
+            chunk=policy.chunk,
+            episodes=config.eval_episodes,
+            image_size=policy.image_size,
         )
         for domain in (config.eval_domains if config.eval_episodes else [])
     }
@@ -204,6 +166,7 @@ def train(config: Config, run: Run, policy: Any, demos: dict[str, Any]) -> Any:
         lmbda=config.lmbda,
         advantage=config.advantage,
         group_size=config.group_size,
+        prepare=fix_poses(learner.critic, policy) if run.step is None else None,
     )
     if (saved := run.load_checkpoint()) is not None:
         learner.load(saved)

@@ -10,10 +10,13 @@ simulated samples (RL-Co, arXiv 2602.12628, Stage I).
 from __future__ import annotations
 
 import logging
-from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Literal
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
-from rlco.config import RunOptions, option
+import policy_options
+from policy_options import SIM_CAMERA, PolicyOptions
+
+from rlco.config import option
 from rlco.errors import ConfigError
 from rlco.run import Run, run_recipe
 
@@ -25,63 +28,7 @@ log = logging.getLogger("rlco.sft")
 
 
 @dataclass
-class GaussianOptions:
-    """Options of policy=gaussian."""
-
-    std: float = option(0.2, "exploration, in units of the normalised action")
-    imitation: Literal["nll", "mse"] = option("nll", "imitation loss of a step")
-
-
-@dataclass
-class TokenOptions:
-    """Options of policy=token."""
-
-    width: int = option(64, "features of a position of the transformer", minimum=1)
-    layers: int = option(1, "blocks of the transformer", minimum=1)
-    heads: int = option(4, "attention heads; they divide the width", minimum=1)
-    bins: int = option(256, "tokens an action number", minimum=2)
-    bin_range: float = option(
-        1.25, "outermost edges of the bins, in units of the normalised action"
-    )
-    temperature: float = option(1.0, "logits are divided by it")
-    noise_std: float = option(
-        0.2, "noise on demonstrations, in units of the normalised action", minimum=0
-    )
-    hidden_share: float = option(
-        0.5, "share of chunks imitated from the observation alone", minimum=0, maximum=1
-    )
-    log_prob_level: Literal["chunk", "action", "token"] = option(
-        "chunk", "what one ratio of PPO covers"
-    )
-
-
-@dataclass
-class FlowOptions:
-    """Options of policy=flow."""
-
-    steps: int = option(4, "denoising steps", minimum=1)
-    method: Literal["flow_noise", "flow_sde", "fpo"] = option(
-        "flow_noise", "what stands for the log-probability"
-    )
-    noisy_steps: Literal["all", "one"] = option("all", "denoising steps with noise")
-    noise_range: list[float] = option(
-        [0.08, 0.16], "flow_noise: least and greatest standard deviation of a step"
-    )
-    noise_level: float = option(0.5, "flow_sde: size of the noise")
-    denoise_reduction: Literal["mean", "sum"] = option(
-        "mean", "of a chain's log-probabilities"
-    )
-    log_prob_level: Literal["chunk", "action", "token"] = option(
-        "chunk", "what one ratio of PPO covers"
-    )
-    imitation_draws: int = option(1, "times and noises a row", minimum=1)
-    padded_size: int | None = option(
-        None, "numbers that RLinf's mean would run over; null: the real ones"
-    )
-
-
-@dataclass
-class Config(RunOptions):
+class Config(PolicyOptions):
     """Options of sft.py."""
 
     name: str = option("sft", "name of the run, a part of its folder's name")
@@ -91,13 +38,12 @@ class Config(RunOptions):
     rename: str = option(
         "", "features of real_demos with other names: THEIRS:OURS,THEIRS:OURS"
     )
+    real_camera: str | None = option(
+        None, "camera of real_demos that is read; null: its only one"
+    )
     sim_ratio: float = option(0.5, "alpha, the share of sim", minimum=0, maximum=1)
-    policy: Literal["gaussian", "token", "flow"] = option("gaussian", "kind of policy")
     chunk: int = option(4, "control steps of an action chunk", minimum=1)
     hidden: list[int] = option([256, 256], "width of each hidden layer", minimum=1)
-    gaussian: GaussianOptions = field(default_factory=GaussianOptions)
-    token: TokenOptions = field(default_factory=TokenOptions)
-    flow: FlowOptions = field(default_factory=FlowOptions)
     updates: int = option(1500, "optimiser steps", minimum=1)
     log_every: int = option(100, "updates between rows of metrics.csv", minimum=1)
     batch_size: int = option(256, "rows of a batch, both kinds together", minimum=1)
@@ -107,13 +53,24 @@ class Config(RunOptions):
     eval_domains: list[str] = option(["sim", "stand_in"], "domains to evaluate in")
 
 
+def check(config: Config) -> ChunkPolicy:
+    """Check what the options say of each other; return a policy that they describe."""
+    from rlco.physics.named_task import check_domains
+
+    check_domains(config.task, config.eval_domains if config.eval_episodes else ())
+    policy_options.check_sight(config)
+    policy = new_policy(config)
+    if config.eval_episodes and config.eval_domains:
+        policy_options.check_pictures(policy, config.task)
+    return policy
+
+
 def load(config: Config) -> dict[str, DemoReplayBuffer | None]:
     """Load the demonstrations that sim_ratio asks for."""
     from rlco.data import load_task_demos
-    from rlco.physics.named_task import check_domains, named_task
+    from rlco.physics.named_task import named_task
 
     task = named_task(config.task)
-    check_domains(config.task, config.eval_domains if config.eval_episodes else ())
     needed = {"sim_demos": config.sim_ratio > 0, "real_demos": config.sim_ratio < 1}
     problems = [
         f"sim_ratio={config.sim_ratio} needs {name}=FOLDER"
@@ -122,32 +79,32 @@ def load(config: Config) -> dict[str, DemoReplayBuffer | None]:
     ]
     if problems:
         raise ConfigError(problems)
-    new_policy(config)  # what is wrong with its options shows here
+    image_size = check(config).image_size
     rename = {"sim_demos": "", "real_demos": config.rename}
-    return {
+    camera = {"sim_demos": SIM_CAMERA, "real_demos": config.real_camera}
+    demos = {
         name: load_task_demos(
-            getattr(config, name), task, chunk=config.chunk, rename=rename[name]
+            getattr(config, name),
+            task,
+            chunk=config.chunk,
+            rename=rename[name],
+            image_size=image_size,
+            camera=camera[name],
+            environment_state=config.use_environment_state,
         )
         if need
         else None
         for name, need in needed.items()
     }
+    policy_options.augment(config, *demos.values())
+    return demos
 
 
 def new_policy(config: Config) -> ChunkPolicy:
     """Return a new policy of the kind and the size that the options give."""
-    from rlco.physics.named_task import named_task
-    from rlco.policies import make_policy, task_sizes
-
-    policy: ChunkPolicy = make_policy(
-        config.policy,
-        chunk=config.chunk,
-        action_size=len(named_task(config.task).action_names),
-        hidden=list(config.hidden),
-        **task_sizes(named_task(config.task)),
-        **asdict(getattr(config, config.policy)),
+    return policy_options.new_policy(
+        config, task=config.task, chunk=config.chunk, hidden=list(config.hidden)
     )
-    return policy
 
 
 def build_policy(config: Config, sets: list[Any]) -> ChunkPolicy:
@@ -163,7 +120,9 @@ def build_policy(config: Config, sets: list[Any]) -> ChunkPolicy:
 
     policy.set_normalization(
         state=quantiles(keys.STATE),
-        environment_state=quantiles(keys.ENVIRONMENT_STATE),
+        environment_state=quantiles(keys.ENVIRONMENT_STATE)
+        if keys.ENVIRONMENT_STATE in policy.in_keys
+        else None,
         action=quantiles(keys.ACTION),
     )
     return policy
@@ -239,7 +198,11 @@ def main(config: Config) -> None:
         rows = []
         for domain in config.eval_domains if config.eval_episodes else []:
             env = evaluation_env(
-                config.task, domain, chunk=config.chunk, episodes=config.eval_episodes
+                config.task,
+                domain,
+                chunk=config.chunk,
+                episodes=config.eval_episodes,
+                image_size=policy.image_size,
             )
             result = evaluate(policy, env, config.eval_episodes)
             log.info("%s in %s: %s", method, domain, result)

@@ -20,6 +20,7 @@ from rlco.statistics import ResultRow, wilson_interval
 
 # Initial states of evaluations come from seeds that no training reaches.
 EVALUATION_SEED = 1_000_003
+ROWS = 256  # of demonstrations with pictures that are evaluated at once
 
 
 @dataclass(frozen=True)
@@ -118,8 +119,10 @@ def imitation_error(policy: Any, frames: TensorDictBase) -> float:
         policy: Offers ``imitation_loss``.
         frames: Observations, chunks and ``action_is_pad``, batch size (B,).
     """
+    # All pictures at once would need gigabytes inside a network.
+    parts = frames.split(ROWS) if keys.IMAGE in policy.in_keys else [frames]
     with torch.no_grad():
-        steps = policy.imitation_loss(frames)
+        steps = torch.cat([policy.imitation_loss(part) for part in parts])
     return float(steps[~frames[keys.IS_PAD]].mean())
 
 
@@ -148,18 +151,21 @@ def record_video(
 ) -> list[NDArray[np.uint8]]:
     """Write one episode as an mp4 video, one frame a decision; return the frames.
 
+    Of a policy that reads pictures the video shows those, enlarged.
+
     Raises:
         RenderingError: If nothing can render.
     """
     import imageio.v3 as imageio
 
+    seen = getattr(policy, "image_size", None)
     env = make_env(
         task,
         domain=domain,
         chunk=chunk,
         variation=variation,
-        image_size=image_size,
-        image_quality="robosuite",
+        image_size=seen or image_size,
+        image_quality="fast" if seen else "robosuite",
         seed=seed,
     )
     env.start_at(index)
@@ -167,6 +173,8 @@ def record_video(
         rollout = env.rollout(-(-env.horizon // chunk), policy)
     first = rollout[keys.IMAGE][0, :1]
     images = torch.cat([first, rollout["next", *keys.IMAGE][0]])
+    times = max(1, image_size[0] // seen[0]) if seen else 1
+    images = images.repeat_interleave(times, -1).repeat_interleave(times, -2)
     frames = list(images.permute(0, 2, 3, 1).numpy())
     env.close()
     rate = env.task.control_frequency / chunk

@@ -5,14 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.data import LazyMemmapStorage, LazyTensorStorage, TensorDictReplayBuffer
 
+from rlco.data.augment import Augmentation
 from rlco.data.instructions import InstructionFromId
+from rlco.data.resize import pictures_of
 from rlco.errors import ConfigError, DataError, OutputExistsError, suggest
 from rlco.keys import (
     ACTION,
@@ -23,12 +25,7 @@ from rlco.keys import (
     IS_PAD,
     STATE,
 )
-from rlco.lerobot_files import (
-    LeRobotFolder,
-    iterate_images,
-    read_columns,
-    read_folder,
-)
+from rlco.lerobot_files import LeRobotFolder, read_columns, read_folder
 
 _STATE = "observation.state"
 _ENVIRONMENT_STATE = "observation.environment_state"
@@ -72,6 +69,10 @@ class DemoReplayBuffer(TensorDictReplayBuffer):
     One row a frame, raw units; see ``load_demos`` for the keys. The instruction's
     text is not stored but looked up from its id when rows are read.
 
+    Set ``augmentation`` to change the pictures of the rows that ``sample`` draws, anew
+    at each draw and from the buffer's own generator; ``frames`` and indexing give them
+    as they were recorded.
+
     Args:
         meta: What the data set says of itself.
         storage: An empty TorchRL storage.
@@ -84,6 +85,15 @@ class DemoReplayBuffer(TensorDictReplayBuffer):
             storage=storage, transform=InstructionFromId(meta.instructions)
         )
         self.meta = meta
+        self.augmentation: Augmentation | None = None
+
+    def sample(self, *args: Any, **options: Any) -> Any:
+        """Draw rows, as TorchRL's buffers do, with pictures augmented where asked."""
+        drawn = super().sample(*args, **options)
+        if self.augmentation is not None:
+            rows = drawn[0] if isinstance(drawn, tuple) else drawn
+            rows.set(IMAGE, self.augmentation(rows.get(IMAGE), self._rng))
+        return drawn
 
     def frames(self) -> TensorDictBase:
         """Return every frame in order, shape [frames].
@@ -104,6 +114,7 @@ def load_demos(
     state_dim: int | None = None,
     environment_dim: int | None = None,
     image_key: str | Literal[False] | None = None,
+    image_size: tuple[int, int] | None = None,
     memmap: str | Path | None = None,
 ) -> DemoReplayBuffer:
     """Load a local LeRobot folder (v2.1 or v3) into a replay buffer.
@@ -129,6 +140,8 @@ def load_demos(
         environment_dim: The same for the environment's state, which then must exist.
         image_key: The camera to read, for example ``"observation.images.front"``.
             None reads the camera where there is exactly one; False reads none.
+        image_size: Height and width of the pictures [pixels]: cut about their middle
+            to this shape, then made smaller. None leaves them as they are.
         memmap: A new folder for the rows, memory-mapped; None keeps them in memory.
 
     Raises:
@@ -163,9 +176,9 @@ def load_demos(
         buffer.extend(rows)
         return buffer
     start = 0
-    for images in iterate_images(folder, camera):
+    for images in pictures_of(folder, camera, image_size):
         # One episode at a time: a memory map never holds all pictures in memory.
-        part = rows[start : start + len(images)].set(IMAGE, torch.from_numpy(images))
+        part = rows[start : start + len(images)].set(IMAGE, images)
         buffer.extend(part)
         start += len(images)
     return buffer

@@ -2,20 +2,36 @@
 
 from __future__ import annotations
 
+import math
+import shutil
+import tempfile
+import weakref
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from rlco.data.demos import DemoReplayBuffer, load_demos
-from rlco.errors import DataError
+from rlco.errors import DataError, suggest
+from rlco.lerobot_files import LeRobotFolder, read_folder
 from rlco.options import rename_map
 from rlco.physics.task import Task
 
 if TYPE_CHECKING:  # robosuite takes a second to import
     from rlco.physics.robosuite_tasks import RobosuiteTask
 
+PREFIX = "observation.images."
+#: Pictures beyond this are kept in a temporary file and read as they are drawn [bytes].
+IN_MEMORY = 2**30
+
 
 def load_task_demos(
-    path: str | Path, task: Task | RobosuiteTask, *, chunk: int, rename: str = ""
+    path: str | Path,
+    task: Task | RobosuiteTask,
+    *,
+    chunk: int,
+    rename: str = "",
+    image_size: tuple[int, int] | None = None,
+    camera: str | None = None,
+    environment_state: bool = True,
 ) -> DemoReplayBuffer:
     """Load demonstrations whose features, sizes, texts and rate are the task's.
 
@@ -24,21 +40,46 @@ def load_task_demos(
         task: The task; its instructions give the ids.
         chunk: Steps H of an action chunk.
         rename: Features with other names, as `rename_map` reads them.
+        image_size: Height and width of the pictures [pixels]; None reads none. More
+            than a gigabyte of them is memory-mapped, in a folder that goes with the
+            buffer.
+        camera: Which pictures: ``front``, or the feature's whole name; None: those of
+            the only camera.
+        environment_state: Whether object poses must be there.
 
     Raises:
         ConfigError: `rename` cannot be read.
         DataError: The data set cannot be used, or was recorded at another rate.
     """
-    demos = load_demos(
-        path,
-        chunk=chunk,
-        rename=rename_map(rename),
-        instructions=task.instructions,
-        action_dim=len(task.action_names),
-        state_dim=len(task.state_names),
-        environment_dim=len(task.environment_state_names),
-        image_key=False,
-    )
+    names = rename_map(rename)
+    key: str | Literal[False] = False
+    memmap = None
+    if image_size is not None:
+        folder = read_folder(path, rename=names)
+        key = camera_key(folder, camera)
+        frames = sum(episode.length for episode in folder.episodes)
+        if 3 * math.prod(image_size) * frames > IN_MEMORY:
+            memmap = Path(tempfile.mkdtemp(prefix="rlco_rows_")) / "rows"
+    environment_dim = len(task.environment_state_names) if environment_state else None
+    try:
+        demos = load_demos(
+            path,
+            chunk=chunk,
+            rename=names,
+            instructions=task.instructions,
+            action_dim=len(task.action_names),
+            state_dim=len(task.state_names),
+            environment_dim=environment_dim,
+            image_key=key,
+            image_size=image_size,
+            memmap=memmap,
+        )
+    except BaseException:
+        if memmap is not None:
+            shutil.rmtree(memmap.parent, ignore_errors=True)
+        raise
+    if memmap is not None:
+        weakref.finalize(demos, shutil.rmtree, memmap.parent, ignore_errors=True)
     if demos.meta.fps != task.control_frequency:
         raise DataError(
             f"data set {str(path)!r} has {demos.meta.fps:g} frames a second, but "
@@ -46,3 +87,32 @@ def load_task_demos(
             "resample it at that rate, as an action chunk counts frames."
         )
     return demos
+
+
+def camera_key(folder: LeRobotFolder, camera: str | None) -> str:
+    """Return the feature that holds a camera's pictures.
+
+    Raises:
+        DataError: There are no pictures, or none of that camera, or of several.
+    """
+    where = f"data set {str(folder.path)!r}"
+    if not folder.cameras:
+        raise DataError(
+            f"{where} has no pictures; record them (record_demos: camera=agentview "
+            "image_size=64), or give image=none."
+        )
+    short = [name.removeprefix(PREFIX) for name in folder.cameras]
+    if camera is None and len(short) == 1:
+        return folder.cameras[0]
+    for name, key in zip(short, folder.cameras, strict=True):
+        if camera in (name, key):
+            return key
+    if camera is None:
+        raise DataError(
+            f"{where} has several cameras, {', '.join(short)}; say which by "
+            f"real_camera={short[0]}."
+        )
+    raise DataError(
+        f"{where} has no camera {camera!r}{suggest(camera, short)}; it has "
+        f"{', '.join(short)}."
+    )

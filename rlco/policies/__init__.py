@@ -9,6 +9,8 @@ from rlco.policies.fit import load_task_policy as load_task_policy
 from rlco.policies.fit import task_sizes as task_sizes
 from rlco.policies.flow import FlowPolicy as FlowPolicy
 from rlco.policies.gaussian import GaussianPolicy as GaussianPolicy
+from rlco.policies.image_encoder import ImageArguments as ImageArguments
+from rlco.policies.image_encoder import ImageEncoder as ImageEncoder
 from rlco.policies.registry import make_policy as make_policy
 from rlco.policies.token import TokenPolicy as TokenPolicy
 from rlco.policies.value import ValueHead as ValueHead

@@ -12,6 +12,7 @@ from tensordict.nn.probabilistic import interaction_type
 from rlco.errors import ConfigError, DataError
 from rlco.keys import ACTION, CHUNK, LOG_PROB, SAMPLE
 from rlco.policies.encoder import ObservationEncoder, Quantiles, read
+from rlco.policies.image_encoder import ImageArguments, saved_arguments
 from rlco.policies.normalizer import QuantileNormalizer
 
 #: An action number that moved less than this in the demonstrations (raw units; the
@@ -38,9 +39,11 @@ class ChunkPolicy(TensorDictModuleBase):
         action_size: action numbers A.
         environment_state_size: numbers in the environment state; 0: not read.
         num_instructions: instructions to tell apart; 0: not read.
+        image: how pictures are read, see `rlco.policies.ImageArguments`; None: not.
 
     Raises:
         ConfigError: sizes that are not positive.
+        CheckpointError: the picture encoder's weights cannot be loaded.
     """
 
     kind: ClassVar[str]
@@ -55,6 +58,7 @@ class ChunkPolicy(TensorDictModuleBase):
         action_size: int,
         environment_state_size: int,
         num_instructions: int,
+        image: ImageArguments | None = None,
     ) -> None:
         super().__init__()
         if chunk < 1 or action_size < 1:
@@ -68,9 +72,11 @@ class ChunkPolicy(TensorDictModuleBase):
             "environment_state_size": environment_state_size,
             "num_instructions": num_instructions,
         }
+        if image is not None:
+            self.arguments["image"] = saved_arguments(image)
         self.chunk, self.action_size = chunk, action_size
         self.encoder = ObservationEncoder(
-            state_size, environment_state_size, num_instructions
+            state_size, environment_state_size, num_instructions, image
         )
         self.action_normalizer = QuantileNormalizer(
             action_size, name="action", min_range=MIN_ACTION_RANGE
@@ -101,6 +107,11 @@ class ChunkPolicy(TensorDictModuleBase):
         self.encoder.set_normalization(state=state, environment_state=environment_state)
         if action is not None:
             self.action_normalizer.set_quantiles(*action)
+
+    @property
+    def image_size(self) -> tuple[int, int] | None:
+        """Height and width of the pictures that it reads [pixels]; None: none."""
+        return None if self.encoder.image is None else self.encoder.image.size
 
     @property
     def explores(self) -> bool:

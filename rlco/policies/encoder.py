@@ -1,4 +1,4 @@
-"""Low-dimensional observations, normalised, as one feature vector."""
+"""Observations, normalised and encoded, as one feature vector."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from torch import nn
 from torch.nn import functional
 
 from rlco.errors import ConfigError, DataError
-from rlco.keys import ENVIRONMENT_STATE, INSTRUCTION_ID, STATE
+from rlco.keys import ENVIRONMENT_STATE, IMAGE, INSTRUCTION_ID, STATE
+from rlco.policies.image_encoder import ImageArguments, ImageEncoder
 from rlco.policies.normalizer import QuantileNormalizer
 
 #: The lower and the upper quantile of some features, a number each.
@@ -38,12 +39,13 @@ def read(tensordict: TensorDictBase, key: str | tuple[str, ...]) -> torch.Tensor
 
 
 class ObservationEncoder(nn.Module):
-    """State, object poses and instruction, normalised and concatenated.
+    """State, object poses, picture and instruction, normalised and concatenated.
 
     Where object poses and an instruction are read, the poses follow once more for each
     instruction, all zero but for the given one (the outer product of both). Which
     object counts is then a matter of weights: without it, a few demonstrations hardly
-    teach a perceptron to pick one object out of three.
+    teach a perceptron to pick one object out of three. What a picture shows is treated
+    like the poses.
 
     Args:
         state_size: numbers in ``("observation", "state")``; 0 leaves it unread.
@@ -51,13 +53,17 @@ class ObservationEncoder(nn.Module):
             0 leaves it unread.
         num_instructions: how many instructions there are; ``instruction_id`` is read
             one-hot. 0 leaves it unread.
+        image: how ``("observation", "image")`` is read, see
+            `rlco.policies.ImageArguments`; None leaves it unread.
 
     Attributes:
         in_keys: the entries that it reads.
         size: numbers in the feature vector.
+        image: the encoder of pictures; None where they are not read.
 
     Raises:
         ConfigError: nothing to read, or a negative size.
+        CheckpointError: the picture encoder's weights cannot be loaded.
 
     Example:
         >>> import torch
@@ -75,10 +81,11 @@ class ObservationEncoder(nn.Module):
         state_size: int,
         environment_state_size: int = 0,
         num_instructions: int = 0,
+        image: ImageArguments | None = None,
     ) -> None:
         super().__init__()
         sizes = (state_size, environment_state_size, num_instructions)
-        if min(sizes) < 0 or sum(sizes) == 0:
+        if min(sizes) < 0 or (sum(sizes) == 0 and image is None):
             raise ConfigError(
                 [
                     "state_size, environment_state_size and num_instructions are "
@@ -90,10 +97,15 @@ class ObservationEncoder(nn.Module):
         self.environment_state = self._normalizer(
             "environment_state", ENVIRONMENT_STATE, environment_state_size
         )
+        self.image = ImageEncoder(**image) if image is not None else None
+        if self.image is not None:
+            self.in_keys.append(IMAGE)
         self.num_instructions = num_instructions
         if num_instructions:
             self.in_keys.append(INSTRUCTION_ID)
-        self.size = sum(sizes) + environment_state_size * num_instructions
+        # Of the objects: what there is once more for each instruction.
+        seen = environment_state_size + (self.image.features if self.image else 0)
+        self.size = state_size + num_instructions + seen * (1 + num_instructions)
 
     def _normalizer(
         self, name: str, key: tuple[str, ...], size: int
@@ -131,18 +143,20 @@ class ObservationEncoder(nn.Module):
 
     def forward(self, tensordict: TensorDictBase) -> torch.Tensor:
         """Return the features [*B, size]; float32, or float64 where inputs are."""
-        parts = []
+        parts, seen = [], []
         if self.state is not None:
             parts.append(self.state(read(tensordict, STATE)))
         if self.environment_state is not None:
-            parts.append(self.environment_state(read(tensordict, ENVIRONMENT_STATE)))
+            seen.append(self.environment_state(read(tensordict, ENVIRONMENT_STATE)))
+        if self.image is not None:
+            seen.append(self.image(read(tensordict, IMAGE)))
+        parts += seen
         if self.num_instructions:
             chosen = read(tensordict, INSTRUCTION_ID)
             dtype = parts[0].dtype if parts else torch.get_default_dtype()
             one_hot = functional.one_hot(chosen, self.num_instructions).to(dtype)
-            if self.environment_state is not None:
-                poses = parts[-1]
-                gated = one_hot.unsqueeze(-1) * poses.unsqueeze(-2)
-                parts.append(gated.flatten(-2))
+            parts += [
+                (one_hot.unsqueeze(-1) * one.unsqueeze(-2)).flatten(-2) for one in seen
+            ]
             parts.append(one_hot)
         return torch.cat(parts, dim=-1)

@@ -23,6 +23,7 @@ from rlco.policies.flow_chain import (
 )
 from rlco.policies.flow_matching import draw_times, squared_error
 from rlco.policies.flow_network import FlowNetwork
+from rlco.policies.image_encoder import ImageArguments
 from rlco.policies.path_distribution import (
     LogProbLevel,
     PathDistribution,
@@ -62,6 +63,7 @@ class FlowPolicy(ChunkPolicy):
         action_size: action numbers A.
         environment_state_size: numbers in the environment state; 0: not read.
         num_instructions: instructions to tell apart; 0: not read.
+        image: how pictures are read, see `rlco.policies.ImageArguments`; None: not.
         hidden: width of each hidden layer.
         steps: denoising steps K.
         method: "flow_noise", "flow_sde" or "fpo".
@@ -82,6 +84,7 @@ class FlowPolicy(ChunkPolicy):
 
     Raises:
         ConfigError: numbers that are not positive, or a name that is not known.
+        CheckpointError: the picture encoder's weights cannot be loaded.
 
     Example:
         >>> from tensordict import TensorDict
@@ -104,6 +107,7 @@ class FlowPolicy(ChunkPolicy):
         action_size: int = 7,
         environment_state_size: int = 0,
         num_instructions: int = 0,
+        image: ImageArguments | None = None,
         hidden: Sequence[int] = (256, 256),
         steps: int = 4,
         method: FlowMethod = "flow_noise",
@@ -122,6 +126,7 @@ class FlowPolicy(ChunkPolicy):
             action_size=action_size,
             environment_state_size=environment_state_size,
             num_instructions=num_instructions,
+            image=image,
         )
         self.chain = FlowChain(
             method, steps, noisy_steps, noise_level, denoise_reduction
@@ -171,8 +176,11 @@ class FlowPolicy(ChunkPolicy):
         Raises:
             DataError: the batch lacks one of ``replay_keys``.
         """
+        return self._density(tensordict, self._velocity(tensordict))
+
+    def _density(self, tensordict: TensorDictBase, velocity: Velocity) -> Distribution:
+        """Return the density of the batch's own sample, given the velocity."""
         path, level = stored_sample(tensordict), self.log_prob_level
-        velocity = self._velocity(tensordict)
         if self.chain.method == "fpo":
             elements = -squared_error(
                 velocity,
@@ -197,19 +205,21 @@ class FlowPolicy(ChunkPolicy):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write sample, log-probability, chunk and action into ``tensordict``."""
         context = self.network.observe(self.encoder(tensordict))
+        velocity = partial(self.network, context)
         batch, explores = context.shape[:-1], self.explores
         noise = context.new_zeros(*batch, self.chunk, self.action_size)
         if explores:
             noise.normal_()
         noisy = self._prepare(tensordict, noise)
         chain = self.chain.draw(
-            partial(self.network, context),
+            velocity,
             self.network.noise_std,
             noise,
             noisy if explores else None,
         )
         tensordict.set(SAMPLE, chain)
-        tensordict.set(LOG_PROB, self.get_dist(tensordict).log_prob(chain))
+        density = self._density(tensordict, velocity)  # the picture is read once
+        tensordict.set(LOG_PROB, density.log_prob(chain))
         self.act(tensordict, chain[..., -1, :, :])
         return tensordict
 

@@ -1,4 +1,4 @@
-"""A Gaussian over whole action chunks, for low-dimensional observations."""
+"""A Gaussian over whole action chunks."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from torch.distributions import Distribution, Independent, Normal
 from rlco.errors import ConfigError
 from rlco.keys import LOG_PROB, SAMPLE
 from rlco.policies.chunk_policy import ChunkPolicy
+from rlco.policies.image_encoder import ImageArguments
 from rlco.policies.mlp import Activation, Mlp
 
 #: The per-step imitation losses that it offers.
@@ -71,6 +72,7 @@ class GaussianPolicy(ChunkPolicy):
         action_size: action numbers A.
         environment_state_size: numbers in the environment state; 0: not read.
         num_instructions: instructions to tell apart; 0: not read.
+        image: how pictures are read, see `rlco.policies.ImageArguments`; None: not.
         hidden: width of each hidden layer.
         activation: "silu" or "tanh".
         layer_norm: whether hidden layers are normalised.
@@ -83,6 +85,7 @@ class GaussianPolicy(ChunkPolicy):
     Raises:
         ConfigError: sizes or standard deviations that are not positive, or a name
             that is not known.
+        CheckpointError: the picture encoder's weights cannot be loaded.
 
     Example:
         >>> import torch
@@ -106,6 +109,7 @@ class GaussianPolicy(ChunkPolicy):
         action_size: int = 7,
         environment_state_size: int = 0,
         num_instructions: int = 0,
+        image: ImageArguments | None = None,
         hidden: Sequence[int] = (256, 256),
         activation: Activation = "silu",
         layer_norm: bool = False,
@@ -119,6 +123,7 @@ class GaussianPolicy(ChunkPolicy):
             action_size=action_size,
             environment_state_size=environment_state_size,
             num_instructions=num_instructions,
+            image=image,
         )
         stds = (std,) * action_size if isinstance(std, (int, float)) else tuple(std)
         _check(action_size, stds, imitation)

@@ -15,6 +15,7 @@ from rlco.keys import LOG_PROB, SAMPLE
 from rlco.policies.action_tokens import ActionTokens
 from rlco.policies.causal_transformer import CausalTransformer
 from rlco.policies.chunk_policy import ChunkPolicy
+from rlco.policies.image_encoder import ImageArguments
 from rlco.policies.mlp import Mlp
 from rlco.policies.path_distribution import (
     LogProbLevel,
@@ -46,6 +47,7 @@ class TokenPolicy(ChunkPolicy):
         action_size: action numbers A.
         environment_state_size: numbers in the environment state; 0: not read.
         num_instructions: instructions to tell apart; 0: not read.
+        image: how pictures are read, see `rlco.policies.ImageArguments`; None: not.
         hidden: width of each hidden layer of the perceptron.
         width: features of a position of the transformer.
         layers: its blocks.
@@ -69,6 +71,7 @@ class TokenPolicy(ChunkPolicy):
 
     Raises:
         ConfigError: sizes that are not positive, or a name that is not known.
+        CheckpointError: the picture encoder's weights cannot be loaded.
 
     Example:
         >>> from tensordict import TensorDict
@@ -91,6 +94,7 @@ class TokenPolicy(ChunkPolicy):
         action_size: int = 7,
         environment_state_size: int = 0,
         num_instructions: int = 0,
+        image: ImageArguments | None = None,
         hidden: Sequence[int] = (256, 256),
         width: int = 64,
         layers: int = 1,
@@ -108,6 +112,7 @@ class TokenPolicy(ChunkPolicy):
             action_size=action_size,
             environment_state_size=environment_state_size,
             num_instructions=num_instructions,
+            image=image,
         )
         problems = check_level(log_prob_level)
         if not temperature > 0:

@@ -12,19 +12,22 @@ from torch import nn
 from rlco.errors import ConfigError
 from rlco.keys import STATE_VALUE
 from rlco.policies.encoder import ObservationEncoder, Quantiles
+from rlco.policies.image_encoder import ImageArguments
 from rlco.policies.mlp import Activation, Mlp
 
 
 class ValueNetwork(TensorDictModuleBase):
     """Expected return of a state, one number a decision: ``state_value`` [B, 1].
 
-    It reads what the policy reads through an encoder of its own and shares no
-    parameter with it, so that the critic's gradient never moves the policy.
+    It reads through an encoder of its own and shares no parameter with the policy, so
+    that the critic's gradient never moves the policy. It may read more than that, or
+    less: a critic lives in the simulator alone.
 
     Args:
         state_size: numbers in the state.
         environment_state_size: numbers in the environment state; 0: not read.
         num_instructions: instructions to tell apart; 0: not read.
+        image: how pictures are read, see `rlco.policies.ImageArguments`; None: not.
         hidden: width of each hidden layer.
         activation: "silu" or "tanh".
         layer_norm: whether hidden layers are normalised.
@@ -47,13 +50,14 @@ class ValueNetwork(TensorDictModuleBase):
         *,
         environment_state_size: int = 0,
         num_instructions: int = 0,
+        image: ImageArguments | None = None,
         hidden: Sequence[int] = (256, 256),
         activation: Activation = "silu",
         layer_norm: bool = False,
     ) -> None:
         super().__init__()
         self.encoder = ObservationEncoder(
-            state_size, environment_state_size, num_instructions
+            state_size, environment_state_size, num_instructions, image
         )
         self.network = Mlp(
             self.encoder.size,

@@ -20,6 +20,9 @@ TINY = (
     "demos=1",
     "updates=2",
     "eval_episodes=2",
+    "policy=token",
+    "token.width=16",
+    "token.bins=16",
 )
 
 
@@ -61,6 +64,7 @@ def test_each_method_is_trained_and_evaluated_where_the_effect_is(run: Path) -> 
     assert {(row["domain"], row["seed"], row["episodes"]) for row in rows} == {
         ("stand_in", 3, 2)
     }
+    assert {row["policy"] for row in rows} == {"token"}
     # The same episodes, but under the effect the arm goes another way.
     first = {
         method: (run / "demos" / f"{method}_s3" / "data/chunk-000/file-000.parquet")

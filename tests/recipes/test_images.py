@@ -1,0 +1,218 @@
+"""Pictures through the recipes: recorded, imitated, reinforced, evaluated; refusals."""
+
+from __future__ import annotations
+
+import gc
+import importlib
+import json
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+import torch
+from recipe_cases import RL_CO, SFT, Assets, refused, start
+
+from rlco.data import load_demos, load_task_demos
+from rlco.errors import RenderingError
+from rlco.keys import ENVIRONMENT_STATE, IMAGE
+from rlco.metrics import read_metrics
+from rlco.physics.camera import check_rendering
+from rlco.physics.task import make_task
+from rlco.policies import load_policy
+
+try:
+    check_rendering()
+except RenderingError:
+    pytest.skip("no OpenGL library", allow_module_level=True)
+
+SEEN = ("image=conv", "image_size=64")
+ONE = [o for o in RL_CO if not o.startswith(("iterations", "critic_iterations"))]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """Demonstrations with pictures of two cameras, and a policy of Stage I on both."""
+
+    sim: Path
+    real: Path
+    sft: Path
+
+
+@pytest.fixture(scope="module")
+def seen(tmp_path_factory: pytest.TempPathFactory) -> Seen:
+    root = tmp_path_factory.mktemp("seen")
+    made = Seen(root / "sim", root / "real", root / "sft")
+    start(
+        "record_demos", "episodes=1", "camera=agentview", "image_size=64", out(made.sim)
+    )
+    # As on a robot: larger pictures, video, and nobody tells where objects are.
+    larger = ["camera=agentview", "image_size=80", "video=true", "domain=stand_in"]
+    start("record_demos", "episodes=1", "seed=1", *larger, out(made.real))
+    forget_poses(made.real)
+    given = [f"sim_demos={made.sim}", f"real_demos={made.real}", *SFT, *SEEN]
+    more = ["use_environment_state=false", "augment=true"]
+    start("sft", *given, *more, out(made.sft))
+    return made
+
+
+def out(folder: Path) -> str:
+    return f"out={folder}"
+
+
+def forget_poses(folder: Path) -> None:
+    """Take the object poses out of what describes a data set."""
+    info = folder / "meta" / "info.json"
+    content = json.loads(info.read_text())
+    del content["features"]["observation.environment_state"]
+    info.write_text(json.dumps(content))
+
+
+def test_recorded_pictures_are_read_back(seen: Seen) -> None:
+    sim = load_demos(seen.sim)
+    assert sim.meta.image_key == "observation.images.agentview"
+    assert sim.frames()[IMAGE].shape == (len(sim), 3, 64, 64)
+    real = load_demos(seen.real, image_size=(64, 64)).frames()[IMAGE].float()
+    assert real.shape[1:] == (3, 64, 64)
+    # The same table from nearly the same place: most of the picture is alike.
+    difference = (real[0] - sim.frames()[IMAGE][0].float()).abs()
+    assert float(difference.median()) < 20
+
+
+def test_many_pictures_are_mapped_from_a_file_that_goes_with_them(
+    seen: Seen, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    task = make_task("push_cube")
+    options: dict[str, Any] = {"chunk": 2, "image_size": (64, 64)}
+    in_memory = load_task_demos(seen.sim, task, **options).frames()[IMAGE]
+    monkeypatch.setattr("rlco.data.task_demos.IN_MEMORY", 1000)
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    mapped = load_task_demos(seen.sim, task, **options)
+    assert list(tmp_path.rglob("*.memmap"))
+    assert torch.equal(mapped.frames()[IMAGE], in_memory)
+    del mapped
+    gc.collect()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_policy_that_sees_goes_through_stage_two_and_is_filmed(
+    seen: Seen, tmp_path: Path
+) -> None:
+    policy, _ = load_policy(seen.sft / "policy")
+    assert IMAGE in policy.in_keys
+    assert ENVIRONMENT_STATE not in policy.in_keys
+    given = [f"policy={seen.sft / 'policy'}", f"real_demos={seen.real}"]
+    given += [f"heldout_demos={seen.real}", *ONE, "iterations=1", "horizon=32"]
+    folder = tmp_path / "rl"
+    start("rl_co", *given, "augment=true", "critic_iterations=0", out(folder))
+    before, row = read_metrics(folder / "metrics.csv")
+    assert row["first_ratio"] == pytest.approx(1.0, abs=1e-5)
+    assert row["grad_norm_real"] > 0
+    assert row["imitation_error_heldout"] != before["imitation_error_heldout"]
+    filmed = [f"policy={folder / 'policy'}", "episodes=1", "videos=1"]
+    start("evaluate", *filmed, out(tmp_path / "evaluation"))
+    assert (tmp_path / "evaluation" / "videos" / "sim_0.mp4").stat().st_size > 1000
+
+
+def test_a_resumed_run_draws_the_same_shifts(seen: Seen, tmp_path: Path) -> None:
+    cut = tmp_path / "cut"
+    shutil.copytree(seen.sft, cut)
+    (cut / "checkpoints" / "step_0000003.safetensors").unlink()
+    shutil.rmtree(cut / "policy")
+    start("sft", f"resume={cut}")
+    for name in ("metrics.csv", "policy/policy.safetensors"):
+        assert (cut / name).read_bytes() == (seen.sft / name).read_bytes(), name
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["image=conv", "image_size=32"], ["image_size", "64"]),
+        (
+            ["image=conv", "image_size=128"],
+            ["too small", "(128, 128)", "record larger"],
+        ),
+        (["image=cnn"], ["'none'", "'conv'", "'mobilenet'"]),
+        (["image=mobilenet"], ["image_weights=mobilenet_v2-b0353104.pth"]),
+        (["image=mobilenet", "image_weights=no.pth"], ["cannot read", "'no.pth'"]),
+        (["image_weights=no.pth"], ["image_weights", "image=mobilenet"]),
+        (["augment=true"], ["augment=true", "image=conv"]),
+        (["use_environment_state=false"], ["use_environment_state", "image=conv"]),
+        ([*SEEN, "real_camera=front"], ["no camera 'front'", "agentview"]),
+        ([*SEEN], ["no feature 'observation.environment_state'"]),
+    ],
+)
+def test_options_of_pictures_that_cannot_be(
+    seen: Seen,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    options: list[str],
+    words: list[str],
+) -> None:
+    given = [f"sim_demos={seen.sim}", f"real_demos={seen.real}", *SFT]
+    line = refused(capsys, "sft", *given, *options, out(tmp_path / "out"))
+    for word in words:
+        assert word in line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("recipe", "options", "words"),
+    [
+        ("record_demos", ["camera=agentviw", "image_size=64"], ["mean 'agentview'"]),
+        ("record_demos", ["camera=agentview"], ["camera and image_size", "both"]),
+        ("record_demos", ["image_size=64"], ["camera and image_size", "both"]),
+        ("quickstart", ["image=mobilenet"], ["image_weights="]),
+        ("quickstart", ["augment=true"], ["augment=true", "image=conv"]),
+        ("quickstart", ["policy=token", "token.heads=3"], ["heads must divide width"]),
+        ("close_loop", ["policy=token", "token.heads=3"], ["heads must divide width"]),
+    ],
+)
+def test_refused_before_a_folder_is_made(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    recipe: str,
+    options: list[str],
+    words: list[str],
+) -> None:
+    line = refused(capsys, recipe, *options, out(tmp_path / "out"))
+    for word in words:
+        assert word in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_quickstart_hands_its_options_on() -> None:
+    quickstart: Any = importlib.import_module("quickstart")
+    options: Any = importlib.import_module("policy_options")
+    flow = options.FlowOptions(steps=2)
+    config = quickstart.Config(policy="flow", flow=flow, image="conv", augment=True)
+    nowhere = {"sim": "", "real": "", "heldout": ""}
+    one = quickstart.stage_one(config, nowhere, "sft")
+    policy = quickstart.sft.new_policy(one)
+    assert (policy.kind, policy.chain.steps) == ("flow", 2)
+    assert policy.image_size == (64, 64)
+    two = quickstart.stage_two(config, Path(), nowhere, "rl_co")
+    assert one.augment
+    assert two.augment
+
+
+def test_data_and_policies_without_pictures(
+    assets: Assets, seen: Seen, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    folder = out(tmp_path / "out")
+    given = [f"sim_demos={assets.sim}", f"real_demos={assets.real}", *SFT, *SEEN]
+    line = refused(capsys, "sft", *given, folder)
+    assert "has no pictures" in line
+    assert str(assets.sim) in line
+    policy = f"policy={seen.sft / 'policy'}"
+    line = refused(capsys, "rl_co", policy, f"real_demos={assets.real}", *ONE, folder)
+    assert "has no pictures" in line
+    plain = [f"policy={assets.sft / 'policy'}", f"real_demos={assets.real}"]
+    line = refused(capsys, "rl_co", *plain, *ONE, "augment=true", folder)
+    assert "reads none" in line
+    rest = [o for o in SFT if not o.startswith("eval_episodes")]
+    lift = ["task=robosuite:Lift", "eval_domains=[sim]", *rest, *SEEN]
+    line = refused(capsys, "sft", f"sim_demos={seen.sim}", "sim_ratio=1", *lift, folder)
+    assert "pictures are not supported for 'robosuite:Lift'" in line
+    assert not (tmp_path / "out").exists()
