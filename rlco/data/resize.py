@@ -25,7 +25,7 @@ def resized(pictures: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
         size: height and width wanted, neither greater than the pictures' [pixels].
 
     Returns:
-        uint8 [B, 3, *size]; the pictures themselves where they have that size.
+        uint8 [B, 3, ...] of that size; the pictures themselves where they have that size.
 
     Example:
         >>> wide = torch.zeros(2, 3, 480, 640, dtype=torch.uint8)
@@ -41,7 +41,7 @@ def resized(pictures: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
 def pictures_of(
     folder: LeRobotFolder, camera: str, size: tuple[int, int] | None
 ) -> Iterator[torch.Tensor]:
-    """Return one camera's pictures, an episode at a time, each uint8 [T, 3, *size].
+    """Return one camera's pictures, an episode at a time, each uint8 [T, 3, height, width].
 
     Args:
         folder: What `rlco.lerobot_files.read_folder` returned.
