@@ -25,7 +25,7 @@ def resized(pictures: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
         size: height and width wanted, neither greater than the pictures' [pixels].
 
     Returns:
-        uint8 [B, 3, ...] of that size; the pictures themselves where they have that size.
+        uint8 [B, 3, height, width]; the pictures themselves where they have that size.
 
     Example:
         >>> wide = torch.zeros(2, 3, 480, 640, dtype=torch.uint8)
@@ -41,12 +41,15 @@ def resized(pictures: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
 def pictures_of(
     folder: LeRobotFolder, camera: str, size: tuple[int, int] | None
 ) -> Iterator[torch.Tensor]:
-    """Return one camera's pictures, an episode at a time, each uint8 [T, 3, height, width].
+    """Return one camera's pictures, an episode at a time.
 
     Args:
         folder: What `rlco.lerobot_files.read_folder` returned.
         camera: The feature's name.
         size: Height and width wanted [pixels]; None leaves them as they are.
+
+    Returns:
+        Of each episode uint8 [T, 3, height, width].
 
     Raises:
         DataError: The pictures are smaller than ``size``, or cannot be read.
