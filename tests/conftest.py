@@ -13,6 +13,18 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 choose_gl()
 
 
+@pytest.fixture(scope="session")
+def rendering() -> None:
+    """Skip what draws pictures where no OpenGL library can be had."""
+    from rlco.errors import RenderingError
+    from rlco.physics.camera import check_rendering
+
+    try:
+        check_rendering()
+    except RenderingError as error:
+        pytest.skip(f"no OpenGL library: {error}")
+
+
 @pytest.fixture(autouse=True)
 def one_thread() -> None:
     """Two threads on a busy machine are many times slower than one."""

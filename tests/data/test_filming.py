@@ -9,22 +9,17 @@ from tensordict import TensorDict
 
 from rlco.data import film_demonstrations
 from rlco.envs import make_env
-from rlco.errors import RenderingError, UnknownNameError
+from rlco.errors import UnknownNameError
 from rlco.keys import ACTION, IMAGE, STATE
-from rlco.physics.camera import check_rendering
 from rlco.physics.demonstrate import demonstrate
 from rlco.physics.domain import make_domain
 from rlco.physics.task import make_task
-
-try:
-    check_rendering()
-except RenderingError:
-    pytest.skip("no OpenGL library", allow_module_level=True)
 
 TASK, SIM = make_task("push_cube"), make_domain("sim")
 SIZE = (64, 64)
 
 
+@pytest.mark.usefixtures("rendering")
 def test_pictures_are_the_environments_at_each_control_step() -> None:
     # Noise enough that most episodes of this seed fail and are passed over.
     options = {"episodes": 4, "seed": 12, "noise": 1.0}
@@ -54,6 +49,7 @@ def test_pictures_are_the_environments_at_each_control_step() -> None:
     env.close()
 
 
+@pytest.mark.usefixtures("rendering")
 def test_an_unknown_camera_is_refused_before_anything_is_played() -> None:
     with pytest.raises(UnknownNameError, match=r"'agentviw' .*'agentview'"):
         film_demonstrations(

@@ -8,10 +8,9 @@ import gymnasium
 import numpy as np
 import pytest
 
-import rlco.envs  # noqa: F401 (registers the ids)
 from rlco.errors import RenderingError
 
-ID = "rlco/PushCube-v0"
+ID = "rlco.physics.registration:rlco/PushCube-v0"
 
 
 def make(**options: Any) -> Any:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import pytest
 from small_problems import Arm, arm_problem
@@ -20,8 +21,8 @@ def problem() -> Arm:
 
 
 def note(problem: Arm, verdict: Verdict) -> str:
-    content = report(verdict, where(problem), problem.model)
-    return str(content["unexplained"]["note"])  # type: ignore[index]
+    content: dict[str, Any] = dict(report(verdict, where(problem), problem.model))
+    return str(content["unexplained"]["note"])
 
 
 def test_nothing_searched_is_not_told_as_unexplained(problem: Arm) -> None:

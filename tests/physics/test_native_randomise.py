@@ -268,6 +268,7 @@ def assert_refused(
 
 
 def test_a_number_of_threads_that_is_none_is_refused() -> None:
-    for threads in (0, -3, 1.5):
+    wrong: list[Any] = [0, -3, 1.5]
+    for threads in wrong:
         with pytest.raises(RlcoError, match=f"threads={threads} is not allowed"):
-            NativeStepper(TASK, SIM, num_envs=1, threads=threads)  # type: ignore[arg-type]
+            NativeStepper(TASK, SIM, num_envs=1, threads=threads)

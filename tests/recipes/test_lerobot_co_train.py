@@ -194,7 +194,7 @@ def test_options_reach_the_policy(tiny: Path) -> None:
     # Of the chunk's eight steps only those that are executed count.
     assert td["vla_action", "log_probs"].shape == (4, 2, 7)
     assert set(td["vla_prefix"].keys()) == {"summary"}
-    assert "denoise_step" in td["vla_action"].keys()  # noqa: SIM118 (a TensorDict)
+    assert td["vla_action", "denoise_step"].shape == (4,)
     assert (policy.chain.noise_level, policy.chain.reduction) == (0.3, "sum")
     assert policy.noise.noise_range == (0.05, 0.1)
     assert policy.padded_mean
