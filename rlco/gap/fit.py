@@ -1,7 +1,10 @@
 """Fitting the numbers of many hypotheses at once, within bounds.
 
-Damped Gauss-Newton steps with forward differences. All hypotheses take their step at
-the same time, so that their simulations form one batch for the threads.
+Damped Gauss-Newton steps. A simulation is what costs: differences are taken once, and
+corrected by what each step turned out to do (Broyden, Mathematics of Computation 1965,
+equation 4.5), until a step disappoints; then they are taken again, and a step that
+disappoints right after is the last. All hypotheses take their step at the same time, so
+that their simulations form one batch for the threads.
 """
 
 from __future__ import annotations
@@ -20,7 +23,9 @@ from rlco.physics.effects import EFFECTS, AppliedEffect, Parameter
 Weigh = Callable[[Sequence[tuple[AppliedEffect, ...]]], Array]
 # The parameters of each effect at each target that may be hypothesised.
 Library = Mapping[Candidate, tuple[Parameter, ...]]
-_LENGTHS = (1.0, 0.35)  # parts of a Gauss-Newton step that are tried
+_SHORTER = 0.35  # part of a Gauss-Newton step that is tried where all of it failed
+_FAR_JUMPS, _NEAR_JUMPS = (-4, -2, -1, 1, 2, 4), (-1, 1)  # of numbers with a resolution
+_LEAST = 1e-3  # of the usual size: shorter steps tell nothing of the differences
 
 
 @dataclass(frozen=True)
@@ -30,8 +35,8 @@ class Fit:
     Attributes:
         effects: The effects.
         cost: Mean square of the weighted residual; 1 at the noise floor.
-        jacobian: Change of the weighted residual a unit of each number, before the
-            last step, (numbers, N).
+        jacobian: About the change of the weighted residual a unit of each number,
+            (numbers, N); `linearise` has it exactly.
         residual: The weighted residual, (N,).
     """
 
@@ -99,11 +104,15 @@ class _Running:
         self.size = np.array([usual_size(p) for p in known])
         self.resolution = np.array([p.resolution for p in known])
         values = [v for effect in effects for v in effect.parameters.values()]
-        self.values = np.clip(np.array(values, dtype=float), self.low, self.high)
-        self.residual = np.zeros(0)
+        first = np.array(values, dtype=float)
+        self.values: Array = np.clip(first, self.low, self.high)
+        self.residual: Array = np.zeros(0)
         self.cost = np.inf
-        self.jacobian = np.zeros((0, 0))
+        self.jacobian: Array = np.zeros((0, 0))
         self.done = False
+        # Whether the differences were taken here, and whether they are still good.
+        self.here, self.good = False, False
+        self.jumps: tuple[int, ...] = _FAR_JUMPS
 
     def effects(self, values: Array) -> tuple[AppliedEffect, ...]:
         return with_values(self.library, self.candidates, values)
@@ -114,7 +123,8 @@ class _Running:
         step = np.minimum(step, 0.25 * (self.high - self.low))
         return np.where(self.values + step > self.high, -step, step)
 
-    def trials(self) -> list[Array]:
+    def gauss_newton(self) -> Array:
+        """Return the change of the numbers that should fit best, (numbers,)."""
         unit = self.size
         scaled = self.jacobian * unit[:, None]
         # A little damping (Marquardt 1963): numbers that do the same share the step.
@@ -124,12 +134,32 @@ class _Running:
         _, triangle = np.linalg.qr(np.column_stack([rows, goal]))
         bounds = (self.low - self.values) / unit, (self.high - self.values) / unit
         bounds = (np.minimum(bounds[0], -1e-9), np.maximum(bounds[1], 1e-9))
-        step = lsq_linear(triangle[:, :-1], triangle[:, -1], bounds).x * unit
-        found = [self.values + part * step for part in _LENGTHS]
+        step: Array = lsq_linear(triangle[:, :-1], triangle[:, -1], bounds).x * unit
+        return step
+
+    def trials(self) -> list[Array]:
+        """Return numbers to try: a whole step, and jumps of those with a resolution."""
+        found = [self.values + self.gauss_newton()]
         for i in np.flatnonzero(self.resolution):
-            jumps = self.resolution[i] * np.array([-4, -2, -1, 1, 2, 4])
-            found += [self.values + jump * np.eye(len(unit))[i] for jump in jumps]
+            unit = self.resolution[i] * np.eye(len(self.values))[i]
+            found += [self.values + jump * unit for jump in self.jumps]
+        self.jumps = _NEAR_JUMPS
         return [np.clip(values, self.low, self.high) for values in found]
+
+    def take(self, values: Array, residual: Array, correct: bool) -> bool:
+        """Go to other numbers, if they fit better."""
+        cost = _cost(residual)
+        if not cost < self.cost:
+            return False
+        step = (values - self.values) / self.size
+        length = float(step @ step)
+        if correct and length > _LEAST**2:
+            told = residual - self.residual - (step * self.size) @ self.jacobian
+            correction = np.outer(step / self.size, told) / length
+            self.jacobian = np.asarray(self.jacobian + correction)
+        self.here = False
+        self.cost, self.residual, self.values = cost, residual, values
+        return True
 
 
 def fit(
@@ -139,6 +169,7 @@ def fit(
     *,
     steps: int = 6,
     tolerance: float = 2e-3,
+    near: Fit | None = None,
 ) -> list[Fit]:
     """Return the best fit from each start, in the order of the starts.
 
@@ -148,6 +179,8 @@ def fit(
         weigh: Weighted residuals of many lists of effects, (lists, N).
         steps: At most this many Gauss-Newton steps.
         tolerance: Stop when a step lowers the cost by less than this part.
+        near: A fit of the same recordings with the first effects of each start, whose
+            differences are good enough to begin with.
     """
     running = [_Running(library, effects) for effects in starts]
     if not running:
@@ -156,11 +189,14 @@ def fit(
         running, weigh([one.effects(one.values) for one in running]), strict=True
     ):
         one.residual, one.cost = residual, _cost(residual)
+        one.done = not np.isfinite(one.cost)
+    if near is not None:
+        _differentiate(running, weigh, near.jacobian)
     for _ in range(steps):
         moving = [one for one in running if not one.done]
         if not moving:
             break
-        _differentiate(moving, weigh)
+        _differentiate([one for one in moving if not one.good], weigh)
         _step(moving, weigh, tolerance)
     return [
         Fit(one.effects(one.values), one.cost, one.jacobian, one.residual)
@@ -183,18 +219,27 @@ def _cost(residual: Array) -> float:
     return float(np.mean(residual**2)) if np.isfinite(residual).all() else np.inf
 
 
-def _differentiate(moving: list[_Running], weigh: Weigh) -> None:
+def _differentiate(
+    moving: list[_Running], weigh: Weigh, known: Array | None = None
+) -> None:
+    """Take differences of all numbers, or of those after the first ones, if known."""
     lists, owners = [], []
     for one in moving:
+        if one.done:
+            continue
         steps = one.differences()
-        for i, step in enumerate(steps):
+        one.jacobian = np.zeros((len(steps), len(one.residual)))
+        first = 0 if known is None else len(known)
+        if known is not None:
+            one.jacobian[:first] = known
+        for i in range(first, len(steps)):
             if one.resolution[i]:
                 continue  # what jumps has no slope
             values = one.values.copy()
-            values[i] += step
+            values[i] += steps[i]
             lists.append(one.effects(values))
-            owners.append((one, i, step))
-        one.jacobian = np.zeros((len(steps), len(one.residual)))
+            owners.append((one, i, steps[i]))
+        one.good, one.here = True, first == 0
     if not lists:
         return
     for (one, i, step), residual in zip(owners, weigh(lists), strict=True):
@@ -203,22 +248,31 @@ def _differentiate(moving: list[_Running], weigh: Weigh) -> None:
 
 
 def _step(moving: list[_Running], weigh: Weigh, tolerance: float) -> None:
-    lists, owners = [], []
-    for one in moving:
-        if not np.isfinite(one.cost):
-            one.done = True
+    before = [one.cost for one in moving]
+    here = [one.here for one in moving]
+    tried = _try([(one, one.trials()) for one in moving], weigh)
+    again = [one for one, taken in zip(moving, tried, strict=True) if not taken]
+    _try([(one, [_shorter(one)]) for one in again if one.here], weigh)
+    for one, cost, exact in zip(moving, before, here, strict=True):
+        if cost - one.cost > tolerance * max(one.cost, 1e-12):
             continue
-        for values in one.trials():
-            lists.append(one.effects(values))
-            owners.append((one, values))
-    before = {id(one): one.cost for one in moving}
-    if not lists:
-        return
-    for (one, values), residual in zip(owners, weigh(lists), strict=True):
-        cost = _cost(residual)
-        if cost < one.cost:
-            one.cost, one.residual, one.values = cost, residual, values
-    for one in moving:
-        gain = before[id(one)] - one.cost
-        if not gain > tolerance * max(one.cost, 1e-12):
-            one.done = True
+        one.good = False
+        one.done = exact
+
+
+def _shorter(one: _Running) -> Array:
+    return np.clip(one.values + _SHORTER * one.gauss_newton(), one.low, one.high)
+
+
+def _try(trials: list[tuple[_Running, list[Array]]], weigh: Weigh) -> list[bool]:
+    """Simulate numbers to try, the first a step; return which hypotheses moved."""
+    pairs = [(one, values) for one, found in trials for values in found]
+    if not pairs:
+        return []
+    rows = iter(weigh([one.effects(values) for one, values in pairs]))
+    moved = []
+    for one, found in trials:
+        results = [(values, next(rows)) for values in found]
+        best = min(range(len(found)), key=lambda i: _cost(results[i][1]))
+        moved.append(one.take(*results[best], correct=best == 0))
+    return moved

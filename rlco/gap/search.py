@@ -19,9 +19,11 @@ from rlco.physics.effects import AppliedEffect
 
 LARGEST = 4  # effects at once
 FITTED = 6  # candidates that are fitted in a forward step
-PROBED = 3  # recordings of the first look
 SEEN = 0.05  # mean square beyond the spread that an effect changes by itself
 CLEAN = 1.1  # mean square, over the typical, of a joint that needs no effect
+LEFT = 1.3  # held-out error over the noise floor of which something else is to blame
+LOOKED_AGAIN = 24  # candidates of a first look beside effects
+FITTABLE = 0.985  # part of the mean square that two steps must not leave
 HINT = 0.015  # part of the mean square that a first look must explain
 BETTER = 0.03  # part of the held-out error that an effect must take away
 
@@ -36,19 +38,28 @@ def search_effects(search: Search) -> Scored:
     while len(best.effects) < LARGEST:
         look = first_look(search)
         at = linearise(look.library, best.effects, look.weigh)
-        candidates = _worth_a_look(search, best)
+        candidates = _worth_a_look(search, best, at)
         done = len(best.effects) / LARGEST
         search.on_step(f"looking at {len(candidates)} effects", done)
         probes = probe(look.library, candidates, best.effects, at.residual, look.weigh)
+        known = {one.candidate for one in probes}
+        search.probes = [p for p in search.probes if p.candidate not in known] + probes
         if not best.effects:
             sizes = [float(np.mean(one.first**2)) for one in probes]
             search.visible = sum(size > 1.0 for size in sizes) > 0.2 * len(sizes)
-        options = refined(search, look, _starts(search, probes, at))
+        options = refined(
+            search, look, _starts(search, probes, at), at, FITTABLE * at.cost
+        )
         swaps = _swaps(search, look, probes, options[:2])
         options += refined(search, look, swaps)
         found = _pick(search, options, best)
         if found is None:
-            break
+            if best.error < LEFT or search.looked_at == search.train:
+                break
+            # Perhaps what is missing shows in the other recordings.
+            search.looked_at = search.train
+            search.probes.clear()
+            continue
         best = _drop(search, _polished(search, found))
         best = search.best = with_spread_at(search, best)
         search.on_step(_sentence(best), len(best.effects) / LARGEST)
@@ -98,7 +109,7 @@ def at_bounds(search: Search, best: Scored) -> bool:
 
 def first_look(search: Search) -> Search:
     """Return a search over some of the training recordings, for a first look."""
-    some = search.train[:: max(1, -(-len(search.train) // PROBED))]
+    some = search.looked_at
     layout = search.problem.layout
     near = np.isin(layout.recording, some)
     scale = search.problem.noise[layout.channel][near]
@@ -108,10 +119,12 @@ def first_look(search: Search) -> Search:
     return replace(search, train=some, weighting=weighting)
 
 
-def _worth_a_look(search: Search, best: Scored) -> list[Candidate]:
+def _worth_a_look(search: Search, best: Scored, at: Fit) -> list[Candidate]:
     """Candidates that may explain something of what is left, in the library's order.
 
-    Whatever an effect of a joint does to others, it does more to that joint.
+    Whatever an effect of a joint does to others, it does more to that joint. And what
+    an effect changes hardly depends on the others: those that told nothing where one
+    effect fewer acted tell nothing now.
     """
     fresh = [c for c in search.library if c not in best.names]
     if not best.effects:
@@ -122,11 +135,19 @@ def _worth_a_look(search: Search, best: Scored) -> list[Candidate]:
     sizes /= np.bincount(layout.channel[near])
     clean = CLEAN * min(1.0, float(np.median(sizes)))
     done = {layout.channels[i] for i in np.flatnonzero(sizes < clean)}
-    return [c for c in fresh if c.target not in done]
+    found = [c for c in fresh if c.target not in done]
+    seen = {one.candidate for one in search.probes}
+    telling = dict.fromkeys(one.candidate for one in ranked(search.probes, at))
+    again = set(list(telling)[:LOOKED_AGAIN])
+    return [c for c in found if c in again or c not in seen]
 
 
 def refined(
-    search: Search, look: Search, starts: list[tuple[AppliedEffect, ...]]
+    search: Search,
+    look: Search,
+    starts: list[tuple[AppliedEffect, ...]],
+    at: Fit | None = None,
+    most: float = np.inf,
 ) -> list[Scored]:
     """Fit a little from each start to some recordings, and on where that went best.
 
@@ -134,13 +155,15 @@ def refined(
         search: The search.
         look: The same with fewer recordings, for the first steps.
         starts: Effects with the numbers to start from.
+        at: A fit of the first look's recordings with the first effects of each start.
+        most: Cost of the first steps from which it is not worth going on.
     """
-    rough = fit(look.library, starts, look.weigh, steps=2)
+    rough = fit(look.library, starts, look.weigh, steps=2, near=at)
     best: dict[frozenset[Candidate], Fit] = {}
     for one in sorted(rough, key=lambda one: one.cost):
         best.setdefault(frozenset(candidates_of(one.effects)), one)
     ranking = list(best.values())
-    near = [one for one in ranking if one.cost < 2.0 * ranking[0].cost][:4]
+    near = [one for one in ranking if one.cost < min(2.0 * ranking[0].cost, most)][:4]
     return search.fit([one.effects for one in near], steps=5)
 
 

@@ -16,6 +16,7 @@ from rlco.gap.weighting import Weighting
 from rlco.physics.effects import AppliedEffect
 
 GREW = 30.0  # times as sensitive to the spread, in squares: looked at again
+LOOKED_AT = 3  # recordings of a first look
 _STEP = 0.01  # of a number, to see what the spread does
 
 
@@ -63,6 +64,7 @@ def start_search(
         prior,
         outliers,
         weights[1],
+        train,
     )
     nothing = linearise(search.library, (), search.weigh)
     if not search.score([nothing]):
@@ -70,17 +72,38 @@ def start_search(
             "the simulation of these recordings diverges without any effect: check "
             "that the model is the robot's, and that it is stable at its time step."
         )
+    search.looked_at = _some_recordings(search, nothing.residual)
     return search
 
 
-def _moved(problem: Problem, effects: tuple[AppliedEffect, ...]) -> tuple[Array, Array]:
+def _some_recordings(search: Search, residual: Array) -> tuple[int, ...]:
+    """Return a few training recordings: one with most of the gap, others all over.
+
+    Args:
+        search: The search.
+        residual: Weighted, of the training recordings, (N,).
+    """
+    layout, train = search.problem.layout, search.train
+    some = list(train[:: max(1, -(-len(train) // LOOKED_AT))])
+    of = layout.recording[np.isin(layout.recording, train)]
+    most = train[int(np.argmax([np.mean(residual[of == one] ** 2) for one in train]))]
+    if most not in some:
+        some[int(np.argmin([abs(one - most) for one in some]))] = most
+    return tuple(sorted(some))
+
+
+def _moved(
+    problem: Problem,
+    effects: tuple[AppliedEffect, ...],
+    recordings: tuple[int, ...] | None = None,
+) -> tuple[Array, Array]:
     """Return residuals (N,), and what a unit of each spread number does (spread, N)."""
     names = len(problem.spread_names)
     hypotheses = [Hypothesis(effects)] + [
         Hypothesis(effects, tuple(_STEP * (i == j) for j in range(names)))
         for i in range(names)
     ]
-    rows = problem.residuals(hypotheses)
+    rows = problem.residuals(hypotheses, recordings)
     with np.errstate(invalid="ignore"):  # infinite where a simulation diverges
         return rows[0], (rows[1:] - rows[0]) / _STEP
 
@@ -114,12 +137,16 @@ def with_spread_at(search: Search, best: Scored) -> Scored:
     """
     layout, prior = search.problem.layout, search.prior
     scale = search.problem.noise[layout.channel]
-    _, moved = _moved(search.problem, best.effects)
+    looked = np.isin(layout.recording, search.looked_at)
+    _, moved = _moved(search.problem, best.effects, search.looked_at)
     before, after = (
-        float(np.sum((rows * prior[:, None] / scale) ** 2))
-        for rows in (search.moved, moved)
+        float(np.sum((rows * prior[:, None] / scale[looked]) ** 2))
+        for rows in (search.moved[:, looked], moved)
     )
     if not GREW * before < after < np.inf:
+        return best
+    _, moved = _moved(search.problem, best.effects)
+    if not np.isfinite(moved).all():
         return best
     near, far = (np.isin(layout.recording, p) for p in (search.train, search.heldout))
     order = np.concatenate([np.flatnonzero(near), np.flatnonzero(far)])
@@ -128,5 +155,6 @@ def with_spread_at(search: Search, best: Scored) -> Scored:
         scale, near, order, moved, prior, search.outliers
     )
     search.scores.clear()
+    search.probes.clear()
     search.score([linearise(search.library, (), search.weigh)])
     return next(iter(search.fit([best.effects])), best)

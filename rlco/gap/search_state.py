@@ -11,6 +11,7 @@ from rlco.gap.comparison import clearly_better
 from rlco.gap.fit import Fit, Library, candidates_of, fit
 from rlco.gap.log import Array
 from rlco.gap.outliers import Outliers
+from rlco.gap.probe import Probe
 from rlco.gap.problem import Candidate, Hypothesis, Integers, Problem
 from rlco.gap.weighting import Weighting
 from rlco.physics.effects import AppliedEffect
@@ -65,7 +66,9 @@ class Search:
         prior: Standard deviation of each spread number, (spread,).
         outliers: What a second may cost at most, in the layout's order.
         at_first: As `together` where no effect acts.
+        looked_at: Training recordings of a first look.
         visible: Whether effects of typical sizes would show in these recordings.
+        probes: The last first look at each candidate.
         trail: What was tried.
         best: The best set of effects so far.
         scores: Every fit that was made, by its set of candidates.
@@ -85,7 +88,9 @@ class Search:
     prior: Array
     outliers: Outliers | None
     at_first: Weighting
+    looked_at: tuple[int, ...]
     visible: bool = True
+    probes: list[Probe] = field(default_factory=list)
     trail: list[dict[str, object]] = field(default_factory=list)
     best: Scored | None = None
     scores: dict[frozenset[Candidate], Scored] = field(default_factory=dict)

@@ -10,7 +10,7 @@ from rlco.gap.fit import candidates_of, fit, linearise
 from rlco.gap.intervals import half_widths
 from rlco.gap.left_over import describe_left
 from rlco.gap.log import Array
-from rlco.gap.probe import probe, start_of
+from rlco.gap.probe import start_of
 from rlco.gap.problem import Candidate, Finding, Gap, Hypothesis, Value, Verdict
 from rlco.gap.search import BETTER, at_bounds, first_look, ranked, refined
 from rlco.gap.search_state import Scored, Search
@@ -18,6 +18,7 @@ from rlco.physics.effects import EFFECTS, AppliedEffect
 
 NEAR_FLOOR = 1.3  # held-out error over the noise floor
 ENOUGH = 0.5  # share of the gap that effects must explain to be named
+HOPELESS = 10.0  # times the best cost, after two steps
 RIVALS = 5  # others that are tried in the place of each named effect
 
 
@@ -184,13 +185,15 @@ def _others(search: Search, best: Scored, place: int) -> list[Scored]:
             or candidate.target is None
         )
     ]
-    fresh = [c for c in likely if frozenset((*names, c)) not in search.scores]
-    probes = probe(look.library, fresh, kept, at.residual, look.weigh)
+    fresh = {c for c in likely if frozenset((*names, c)) not in search.scores}
+    probes = [one for one in search.probes if one.candidate in fresh]
     starts: dict[Candidate, tuple[AppliedEffect, ...]] = {}
     for one in ranked(probes, at):
         start = start_of(search.library, one, at.residual)
         starts.setdefault(one.candidate, kept + start)
-    return refined(search, look, list(starts.values())[:RIVALS])
+    (rows,) = look.weigh([best.effects])
+    most = HOPELESS * float(np.mean(rows**2))
+    return refined(search, look, list(starts.values())[:RIVALS], at, most)
 
 
 def _findings(
