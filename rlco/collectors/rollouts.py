@@ -16,7 +16,7 @@ from torchrl.objectives.value import GAE
 from rlco import keys
 from rlco.collectors.advantages import Advantage, group_advantages, normalize
 from rlco.envs.chunk_env import ChunkEnv
-from rlco.errors import ConfigError
+from rlco.errors import ConfigError, DataError
 from rlco.policies import ValueHead
 
 
@@ -115,6 +115,9 @@ class RolloutCollector:
         Beside what environment and policy wrote it holds `advantage`, and with GAE
         `value_target` and `state_value`, each (N, T, 1). Decisions in which the
         simulation diverged have advantage 0 and their own value as target.
+
+        Raises:
+            DataError: the critic reads what next observations do not have.
         """
         self.env.start_at(iteration)
         with set_exploration_type(ExplorationType.RANDOM):
@@ -125,6 +128,7 @@ class RolloutCollector:
             )
         if self._prepare is not None:
             self._prepare(rollout)
+        _check_next(rollout, self._gae.value_network)
         with torch.no_grad():
             rollout = self._gae(rollout)
         # What a broken simulation did says nothing of the policy, nor of the critic.
@@ -138,6 +142,18 @@ class RolloutCollector:
     def close(self) -> None:
         """Free the collector."""
         self._collector.shutdown()
+
+
+def _check_next(rollout: TensorDictBase, critic: Any) -> None:
+    """Check that the critic can value next observations, before TorchRL stacks them."""
+    there = set(rollout["next"].keys(include_nested=True))
+    missing = [key for key in critic.in_keys if key not in there]
+    if missing:
+        raise DataError(
+            f"the critic reads {missing[0]!r}, which the rollout's next observations "
+            "do not have; add it with RolloutCollector(prepare=...), the summaries of a "
+            "large model with add_next_summaries."
+        )
 
 
 def _check(critic: Any | None, advantage: str, group_size: int) -> None:

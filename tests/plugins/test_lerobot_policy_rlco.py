@@ -13,6 +13,7 @@ from lerobot_policy_rlco.export import export_policy
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from rlco.data.resize import resized
 from rlco.errors import DataError, OutputExistsError
 from rlco.policies import make_policy, save_policy
 
@@ -152,6 +153,32 @@ def test_a_policy_that_sees_reads_lerobots_camera(tmp_path: Path) -> None:
         "task": INSTRUCTIONS[::-1],
     }
     torch.testing.assert_close(post(theirs.select_action(pre(given))), expected[:, 0])
+
+
+def test_a_robots_larger_frames_are_cut_and_shrunk_as_in_training(
+    tmp_path: Path,
+) -> None:
+    torch.manual_seed(0)
+    sizes = {"state_size": 3, "num_instructions": 2, "chunk": 4, "hidden": (16,)}
+    policy = make_policy("gaussian", image={"kind": "conv", "size": (64, 64)}, **sizes)
+    save_policy(policy, tmp_path / "ours", extra={"instructions": INSTRUCTIONS})
+    path = export_policy(tmp_path / "ours", tmp_path / "theirs")
+    config = PreTrainedConfig.from_pretrained(path)
+    theirs = get_policy_class("rlco").from_pretrained(path, config=config)
+    # A square in the middle of a wide frame, in blocks of 4 x 4 pixels of one colour.
+    small = torch.randint(256, (1, 3, 64, 64), dtype=torch.uint8)
+    square = small.repeat_interleave(4, -2).repeat_interleave(4, -1)
+    wide = torch.nn.functional.pad(square, (40, 40))
+    batch = {"observation.state": torch.randn(1, 3), "task": INSTRUCTIONS[:1]}
+
+    def chunk(pixels: torch.Tensor) -> torch.Tensor:
+        frames = {"observation.images.front": pixels.float() / 255}
+        return theirs.predict_action_chunk(batch | frames)
+
+    torch.testing.assert_close(chunk(wide), chunk(resized(wide, (64, 64))))
+    assert not torch.allclose(chunk(wide), chunk(wide[..., :64, :64]))
+    with pytest.raises(DataError, match=r"front gives frames of 32 x 96.*64 x 64"):
+        chunk(wide[..., :32, :96])
 
 
 def test_an_exported_policy_is_not_overwritten(exported: tuple[Any, Path]) -> None:

@@ -93,3 +93,15 @@ def test_next_summaries_are_those_of_the_next_observations() -> None:
 def test_a_missing_summary_is_named() -> None:
     with pytest.raises(DataError, match="prepare="):
         PrefixCritic(8, hidden=(4,))(rows(2))
+
+
+def test_what_next_observations_lack_is_said_before_their_values_are_taken() -> None:
+    policy = actor()
+    env = make_env(
+        "push_cube", num_envs=2, chunk=policy.chunk, horizon=2, image_size=(28, 28)
+    )
+    critic = PrefixCritic(policy.model.hidden_size, hidden=(4,))
+    collector = RolloutCollector(env, policy, critic)
+    with pytest.raises(DataError, match=r"next observations.*add_next_summaries"):
+        collector.collect(0)
+    collector.close()

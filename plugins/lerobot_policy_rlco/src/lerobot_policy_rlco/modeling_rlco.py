@@ -14,6 +14,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from lerobot_policy_rlco.configuration_rlco import RlcoConfig
 from rlco import keys
+from rlco.data.resize import resized
 from rlco.errors import DataError, suggest
 from rlco.losses import ImitationLoss
 from rlco.policies import make_policy
@@ -67,9 +68,8 @@ class RlcoPolicy(PreTrainedPolicy):
         rows = TensorDict(batch_size=[len(state)])
         for key, name in read.items():
             rows.set(key, batch[name])
-        if keys.IMAGE in read:  # LeRobot's frames are fractions of full brightness
-            pixels = (batch[read[keys.IMAGE]] * 255).round().to(torch.uint8)
-            rows.set(keys.IMAGE, pixels)
+        if keys.IMAGE in read:
+            rows.set(keys.IMAGE, self._pictures(batch, read[keys.IMAGE]))
         if keys.INSTRUCTION_ID in self.actor.in_keys:
             ids = [self._instruction(text) for text in batch["task"]]
             rows.set(keys.INSTRUCTION_ID, torch.tensor(ids, device=state.device))
@@ -78,6 +78,23 @@ class RlcoPolicy(PreTrainedPolicy):
             if "action_is_pad" in batch:
                 rows.set(keys.IS_PAD, batch["action_is_pad"])
         return rows
+
+    def _pictures(self, batch: dict[str, Any], name: str) -> torch.Tensor:
+        """Return a camera's frames, uint8, cut and made smaller as in training.
+
+        Raises:
+            DataError: they are smaller than those that the policy was trained with.
+        """
+        _, height, width = self.config.image_features[name].shape
+        frames = batch[name]
+        if frames.shape[-2] < height or frames.shape[-1] < width:
+            raise DataError(
+                f"{name} gives frames of {frames.shape[-2]} x {frames.shape[-1]}, "
+                f"smaller than the {height} x {width} that the policy was trained "
+                "with; let the camera give larger ones."
+            )
+        # LeRobot's frames are fractions of full brightness.
+        return resized((frames * 255).round().to(torch.uint8), (height, width))
 
     def _instruction(self, text: str) -> int:
         known = self.config.instructions
