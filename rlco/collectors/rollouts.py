@@ -151,8 +151,8 @@ def _check_next(rollout: TensorDictBase, critic: Any) -> None:
     if missing:
         raise DataError(
             f"the critic reads {missing[0]!r}, which the rollout's next observations "
-            "do not have; add it with RolloutCollector(prepare=...), the summaries of a "
-            "large model with add_next_summaries."
+            "do not have; add it with RolloutCollector(prepare=...), the summaries of "
+            "a large model with add_next_summaries."
         )
 
 
