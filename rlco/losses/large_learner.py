@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 from tensordict import TensorDictBase
 from torch.nn.utils import clip_grad_norm_
 
+from rlco.errors import CheckpointError
 from rlco.losses.learner import CRITIC_GRAD_NORM, Learner
 
 
@@ -35,6 +37,34 @@ class LargeLearner(Learner):
         if self._waiting:
             self._follow(train_policy=train_policy)
         return row
+
+    def state(self) -> dict[str, Any]:
+        """Return what a checkpoint holds: of the policy only what is trained.
+
+        Frozen weights are those of the model that a resumed run reads anyway.
+        """
+        state, frozen = super().state(), self._frozen()
+        policy = {k: v for k, v in state["policy"].items() if k not in frozen}
+        return state | {"policy": policy}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from a checkpoint.
+
+        Raises:
+            CheckpointError: Other weights were trained than are to be trained now.
+        """
+        now = self.policy.state_dict()
+        kept = {name: now[name] for name in self._frozen()}
+        if kept.keys() | state["policy"].keys() != now.keys():
+            raise CheckpointError(
+                "the checkpoint holds other trained weights than this run trains; "
+                "resume with the same trained= and policy=."
+            )
+        super().load(state | {"policy": kept | state["policy"]})
+
+    def _frozen(self) -> set[str]:
+        named = self.policy.named_parameters(remove_duplicate=False)
+        return {name for name, weights in named if not weights.requires_grad}
 
     def _step(self, out: TensorDictBase, *, train_policy: bool) -> None:
         terms = [value for name, value in out.items() if name.startswith("loss_")]

@@ -17,6 +17,7 @@ from safetensors.torch import load_file, save_file
 from tensordict import TensorDict, TensorDictBase
 
 from rlco.data import DemoWriter
+from rlco.errors import CheckpointError
 from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
 from rlco.policies.lerobot_inputs import dataset_stats
 from rlco.policies.tiny.smolvla import write_tiny_smolvla
@@ -168,6 +169,25 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
     assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
     start_weights = load_file(tiny / "model.safetensors")
     assert any(not torch.equal(v, weights[0][k]) for k, v in start_weights.items())
+
+
+def test_a_checkpoint_leaves_out_what_is_frozen(tiny: Path) -> None:
+    held = {}
+    for trained in ("lora", "expert", "full"):
+        recipe, config = configured(tiny, trained=trained)
+        _, policy, _ = recipe.load(config)
+        state = recipe.make_learner(config, policy, None, 4).state()
+        named = policy.named_parameters()
+        resting = {name for name, weights in named if not weights.requires_grad}
+        assert not resting & state["policy"].keys()
+        held[trained] = state, sum(part.numel() for part in state["policy"].values())
+    sizes = {trained: size for trained, (_, size) in held.items()}
+    assert sizes["lora"] < sizes["expert"] < sizes["full"]
+    recipe, config = configured(tiny, trained="full")
+    _, policy, _ = recipe.load(config)
+    learner = recipe.make_learner(config, policy, None, 4)
+    with pytest.raises(CheckpointError, match="same trained="):
+        learner.load(held["expert"][0])
 
 
 # -- The options -------------------------------------------------------------------
