@@ -12,7 +12,7 @@ from rlco.gap.fit import Fit, candidates_of, fit, linearise, usual_size
 from rlco.gap.log import Array
 from rlco.gap.probe import Probe, explained, probe, start_of
 from rlco.gap.problem import Candidate
-from rlco.gap.search_start import with_spread_at
+from rlco.gap.search_start import with_most_left, with_spread_at
 from rlco.gap.search_state import Scored, Search
 from rlco.gap.weighting import Weighting
 from rlco.physics.effects import AppliedEffect
@@ -54,10 +54,11 @@ def search_effects(search: Search) -> Scored:
         options += refined(search, look, swaps)
         found = _pick(search, options, best)
         if found is None:
-            if best.error < LEFT or search.looked_at == search.train:
+            # Perhaps what is missing shows in other recordings.
+            others = with_most_left(search, best.fit.residual)
+            if best.error < LEFT or others == search.looked_at:
                 break
-            # Perhaps what is missing shows in the other recordings.
-            search.looked_at = search.train
+            search.looked_at = others
             search.probes.clear()
             continue
         best = _drop(search, _polished(search, found))

@@ -83,13 +83,30 @@ def _some_recordings(search: Search, residual: Array) -> tuple[int, ...]:
         search: The search.
         residual: Weighted, of the training recordings, (N,).
     """
-    layout, train = search.problem.layout, search.train
-    some = list(train[:: max(1, -(-len(train) // LOOKED_AT))])
-    of = layout.recording[np.isin(layout.recording, train)]
-    most = train[int(np.argmax([np.mean(residual[of == one] ** 2) for one in train]))]
+    some = list(search.train[:: max(1, -(-len(search.train) // LOOKED_AT))])
+    most = search.train[int(_left(search, residual).argmax())]
     if most not in some:
         some[int(np.argmin([abs(one - most) for one in some]))] = most
     return tuple(sorted(some))
+
+
+def with_most_left(search: Search, residual: Array) -> tuple[int, ...]:
+    """Return as many training recordings as are looked at, those with most left.
+
+    Args:
+        search: The search.
+        residual: Weighted, of the training recordings, (N,).
+    """
+    order = np.argsort(-_left(search, residual), kind="stable")
+    most = order[: len(search.looked_at)]
+    return tuple(sorted(search.train[i] for i in most))
+
+
+def _left(search: Search, residual: Array) -> Array:
+    """Return the mean square of a residual in each training recording, (train,)."""
+    recording = search.problem.layout.recording
+    of = recording[np.isin(recording, search.train)]
+    return np.array([np.mean(residual[of == one] ** 2) for one in search.train])
 
 
 def _moved(
