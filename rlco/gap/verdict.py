@@ -10,7 +10,7 @@ from rlco.gap.fit import candidates_of, fit, linearise
 from rlco.gap.intervals import half_widths
 from rlco.gap.left_over import describe_left
 from rlco.gap.log import Array
-from rlco.gap.probe import start_of
+from rlco.gap.probe import probe, start_of
 from rlco.gap.problem import Candidate, Finding, Gap, Hypothesis, Value, Verdict
 from rlco.gap.search import BETTER, at_bounds, first_look, ranked, refined
 from rlco.gap.search_state import Scored, Search
@@ -185,7 +185,10 @@ def _others(search: Search, best: Scored, place: int) -> list[Scored]:
             or candidate.target is None
         )
     ]
-    fresh = {c for c in likely if frozenset((*names, c)) not in search.scores}
+    fresh = [c for c in likely if frozenset((*names, c)) not in search.scores]
+    seen = {one.candidate for one in search.probes}
+    unseen = [c for c in fresh if c not in seen]
+    search.probes += probe(look.library, unseen, kept, at.residual, look.weigh)
     probes = [one for one in search.probes if one.candidate in fresh]
     starts: dict[Candidate, tuple[AppliedEffect, ...]] = {}
     for one in ranked(probes, at):

@@ -11,6 +11,9 @@ from rlco.gap.arm_rollouts import ArmRollouts
 from rlco.gap.find_gap import find_gap
 from rlco.gap.log import Log
 from rlco.gap.problem import Verdict
+from rlco.gap.search import search_effects
+from rlco.gap.search_start import start_search
+from rlco.gap.verdict import conclude
 
 _NOISE = np.full(2, 4e-4)
 # Two turntables: neither feels the other, or its weight.
@@ -71,6 +74,18 @@ def test_a_slow_motion_leaves_a_class_that_holds_what_was_hidden() -> None:
     members |= {(rival.name, rival.target) for rival in finding.rivals}
     assert ("viscous_damping", "elbow") in members
     assert len(members) > 1
+
+
+def test_rivals_are_looked_for_where_all_first_looks_were_forgotten() -> None:
+    """As after the last effect, where the spread had to be looked at again."""
+    log = record(_viscous, motion=_slow, xml=_TURNTABLES)
+    problem = ArmRollouts(mujoco.MjSpec.from_string(_TURNTABLES), log, _NOISE)
+    search = start_search(problem)
+    best = search_effects(search)
+    search.scores = {n: search.scores[n] for n in (frozenset(), best.names)}
+    search.probes.clear()
+    (finding,) = conclude(search, 0.0, complete=True).effects
+    assert finding.rivals
 
 
 def test_a_robot_at_rest_shows_nothing_and_is_said_to_show_nothing() -> None:
