@@ -24,7 +24,7 @@ Weigh = Callable[[Sequence[tuple[AppliedEffect, ...]]], Array]
 # The parameters of each effect at each target that may be hypothesised.
 Library = Mapping[Candidate, tuple[Parameter, ...]]
 _SHORTER = 0.35  # part of a Gauss-Newton step that is tried where all of it failed
-_FAR_JUMPS, _NEAR_JUMPS = (-4, -2, -1, 1, 2, 4), (-1, 1)  # of numbers with a resolution
+_JUMPS = (-4, -2, -1, 1, 2, 4)  # steps of numbers with a resolution
 _LEAST = 1e-3  # of the usual size: shorter steps tell nothing of the differences
 
 
@@ -112,7 +112,6 @@ class _Running:
         self.done = False
         # Whether the differences were taken here, and whether they are still good.
         self.here, self.good = False, False
-        self.jumps: tuple[int, ...] = _FAR_JUMPS
 
     def effects(self, values: Array) -> tuple[AppliedEffect, ...]:
         return with_values(self.library, self.candidates, values)
@@ -142,8 +141,7 @@ class _Running:
         found = [self.values + self.gauss_newton()]
         for i in np.flatnonzero(self.resolution):
             unit = self.resolution[i] * np.eye(len(self.values))[i]
-            found += [self.values + jump * unit for jump in self.jumps]
-        self.jumps = _NEAR_JUMPS
+            found += [self.values + jump * unit for jump in _JUMPS]
         return [np.clip(values, self.low, self.high) for values in found]
 
     def take(self, values: Array, residual: Array, correct: bool) -> bool:

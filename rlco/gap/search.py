@@ -12,6 +12,7 @@ from rlco.gap.fit import Fit, candidates_of, fit, linearise, usual_size
 from rlco.gap.log import Array
 from rlco.gap.probe import Probe, explained, probe, start_of
 from rlco.gap.problem import Candidate
+from rlco.gap.search_jumps import best_values, elsewhere, jumps
 from rlco.gap.search_start import with_most_left, with_spread_at
 from rlco.gap.search_state import Scored, Search
 from rlco.gap.weighting import Weighting
@@ -48,14 +49,14 @@ def search_effects(search: Search) -> Scored:
             sizes = [float(np.mean(one.first**2)) for one in probes]
             search.visible = sum(size > 1.0 for size in sizes) > 0.2 * len(sizes)
         options = refined(
-            search, look, _starts(search, probes, at), at, FITTABLE * at.cost
+            search, look, _starts(search, look, probes, at), at, FITTABLE * at.cost
         )
         swaps = _swaps(search, look, probes, options[:2])
         options += refined(search, look, swaps)
         found = _pick(search, options, best)
         if found is None:
             # Perhaps what is missing shows in other recordings.
-            others = with_most_left(search, best.fit.residual)
+            others = tuple(sorted(with_most_left(search, best.fit.residual)))
             if best.error < LEFT or others == search.looked_at:
                 break
             search.looked_at = others
@@ -110,7 +111,11 @@ def at_bounds(search: Search, best: Scored) -> bool:
 
 def first_look(search: Search) -> Search:
     """Return a search over some of the training recordings, for a first look."""
-    some = search.looked_at
+    return look_at(search, search.looked_at)
+
+
+def look_at(search: Search, some: tuple[int, ...]) -> Search:
+    """Return a search over some of the recordings."""
     layout = search.problem.layout
     near = np.isin(layout.recording, some)
     scale = search.problem.noise[layout.channel][near]
@@ -170,8 +175,13 @@ def refined(
 
 def _polished(search: Search, found: Scored) -> Scored:
     """Fit to the end: what a half-way fit leaves looks like one more effect."""
-    fits = fit(search.library, [found.effects], search.weigh, steps=12, tolerance=1e-4)
-    return next(iter(search.score(fits)), found)
+    starts = [found.effects]
+    if found.error > LEFT:
+        alone = look_at(search, with_most_left(search, found.fit.residual)[:1])
+        starts += elsewhere(alone, found.effects)
+    fits = fit(search.library, starts, search.weigh, steps=12, tolerance=1e-4)
+    scored = search.score(sorted(fits, key=lambda one: one.cost)[:1])
+    return next(iter(scored), found)
 
 
 def _pick(search: Search, options: list[Scored], best: Scored) -> Scored | None:
@@ -228,10 +238,15 @@ def ranked(probes: Iterable[Probe], at: Fit) -> list[Probe]:
 
 
 def _starts(
-    search: Search, probes: list[Probe], at: Fit
+    search: Search, look: Search, probes: list[Probe], at: Fit
 ) -> list[tuple[AppliedEffect, ...]]:
     """Starts of the most telling candidates, beside the present effects."""
     starts, counts = [], dict[Candidate, int]()
+    if at.cost > LEFT**2:
+        alone = look_at(look, with_most_left(look, at.residual)[:1])
+        for candidate in look.library:
+            if jumps(look, candidate) and candidate not in candidates_of(at.effects):
+                starts += best_values(alone, at.effects, candidate)
     for one in ranked(probes, at):
         count = counts.get(one.candidate, 0)
         if count == 2 or (count == 0 and len(counts) == FITTED):

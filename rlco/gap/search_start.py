@@ -91,7 +91,7 @@ def _some_recordings(search: Search, residual: Array) -> tuple[int, ...]:
 
 
 def with_most_left(search: Search, residual: Array) -> tuple[int, ...]:
-    """Return as many training recordings as are looked at, those with most left.
+    """Return as many training recordings as are looked at, those with most left first.
 
     Args:
         search: The search.
@@ -99,7 +99,7 @@ def with_most_left(search: Search, residual: Array) -> tuple[int, ...]:
     """
     order = np.argsort(-_left(search, residual), kind="stable")
     most = order[: len(search.looked_at)]
-    return tuple(sorted(search.train[i] for i in most))
+    return tuple(search.train[i] for i in most)
 
 
 def _left(search: Search, residual: Array) -> Array:

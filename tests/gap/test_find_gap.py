@@ -74,6 +74,23 @@ def test_the_gap_shrinks_to_the_noise_on_recordings_that_were_not_fitted() -> No
     assert gap.after_heldout == pytest.approx(gap.noise_floor, rel=0.1)
 
 
+@pytest.mark.parametrize("hide", [None, _two])
+def test_a_slow_controller_is_found_alone_and_beside_others(hide: Hide | None) -> None:
+    """Only the right period fits: one step of 4 ms away is worse than none."""
+    held = np.zeros(2)
+
+    def slow(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        if round(data.time / model.opt.timestep) % 19 == 0:
+            held[:] = data.ctrl
+        data.ctrl[:] = held
+
+    verdict = _verdict(hide, slow)
+    beside = {("coulomb_friction", "elbow"), ("actuator_gain", "shoulder")}
+    assert _names(verdict) == {("control_rate", None)} | (beside if hide else set())
+    (rate,) = (one for one in verdict.effects if one.name == "control_rate")
+    assert rate.parameters["period"].value == pytest.approx(19 * 0.004)
+
+
 def test_a_model_that_is_a_little_off_everywhere_has_no_gap() -> None:
     verdict = _verdict(_spread)
     assert verdict.verdict == "no_gap"

@@ -26,8 +26,9 @@ def _on_command(
     if period <= 1.0:
         return commands
     steps = np.arange(len(commands))
-    read = np.floor(steps / period + 1e-9) * period
-    held: Array = commands[read.astype(int)]
+    # Rounding must not read a step early: there the command may be another one.
+    read = np.floor(steps / period + 1e-6) * period + 1e-6
+    held: Array = commands[np.floor(read).astype(int)]
     return held
 
 

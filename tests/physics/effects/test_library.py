@@ -124,6 +124,17 @@ def test_play_a_slew_limit_and_a_slow_reader_by_hand() -> None:
     assert on_command("command_delay", 1.5) == [0.0, 0.0, 0.5, 1.5, 2.5, 2.5, 1.5]
 
 
+@pytest.mark.parametrize("off", [-1e-15, 0.0, 1e-15])
+def test_a_slow_reader_reads_no_step_early_for_a_rounded_period(off: float) -> None:
+    """0.068 s are 34 steps of 2 ms, and 33.999... where it was added up."""
+    change = EFFECTS["control_rate"].on_command
+    assert change is not None
+    frames = np.repeat(np.arange(40.0), 10)[:, None]  # a command each 10 steps
+    read = change(frames, 0, 0.002, np.array([0.068 + 5 * off]))[:, 0]
+    expected = [34 * (step // 34) // 10 for step in range(400)]
+    np.testing.assert_array_equal(read, expected)
+
+
 def test_a_name_that_is_not_there_is_told_with_those_that_are() -> None:
     with pytest.raises(UnknownNameError, match=r"unknown joint 'k'.*known:.*j"):
         _changed("coulomb_friction", "k", 1.0)
