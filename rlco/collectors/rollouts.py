@@ -146,7 +146,7 @@ class RolloutCollector:
 
 def _check_next(rollout: TensorDictBase, critic: Any) -> None:
     """Check that the critic can value next observations, before TorchRL stacks them."""
-    there = set(rollout["next"].keys(include_nested=True))
+    there = rollout["next"].keys(include_nested=True)
     missing = [key for key in critic.in_keys if key not in there]
     if missing:
         raise DataError(

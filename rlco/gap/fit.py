@@ -248,18 +248,19 @@ def _differentiate(
 def _step(moving: list[_Running], weigh: Weigh, tolerance: float) -> None:
     before = [one.cost for one in moving]
     here = [one.here for one in moving]
-    tried = _try([(one, one.trials()) for one in moving], weigh)
-    again = [one for one, taken in zip(moving, tried, strict=True) if not taken]
-    _try([(one, [_shorter(one)]) for one in again if one.here], weigh)
+    trials = [(one, one.trials()) for one in moving]
+    tried = _try(trials, weigh)
+    shorter = [
+        (one, [one.values + _SHORTER * (whole - one.values)])
+        for (one, (whole, *_)), taken in zip(trials, tried, strict=True)
+        if one.here and not taken
+    ]
+    _try(shorter, weigh)
     for one, cost, exact in zip(moving, before, here, strict=True):
         if cost - one.cost > tolerance * max(one.cost, 1e-12):
             continue
         one.good = False
         one.done = exact
-
-
-def _shorter(one: _Running) -> Array:
-    return np.clip(one.values + _SHORTER * one.gauss_newton(), one.low, one.high)
 
 
 def _try(trials: list[tuple[_Running, list[Array]]], weigh: Weigh) -> list[bool]:

@@ -19,10 +19,10 @@ from rlco.gap.weighting import Weighting
 from rlco.physics.effects import AppliedEffect
 
 LARGEST = 4  # effects at once
+NEAR_FLOOR = 1.3  # error over the noise floor; beyond it something is missing
 FITTED = 6  # candidates that are fitted in a forward step
 SEEN = 0.05  # mean square beyond the spread that an effect changes by itself
 CLEAN = 1.1  # mean square, over the typical, of a joint that needs no effect
-LEFT = 1.3  # held-out error over the noise floor of which something else is to blame
 LOOKED_AGAIN = 24  # candidates of a first look beside effects
 FITTABLE = 0.985  # part of the mean square that two steps must not leave
 HINT = 0.015  # part of the mean square that a first look must explain
@@ -48,16 +48,15 @@ def search_effects(search: Search) -> Scored:
         if not best.effects:
             sizes = [float(np.mean(one.first**2)) for one in probes]
             search.visible = sum(size > 1.0 for size in sizes) > 0.2 * len(sizes)
-        options = refined(
-            search, look, _starts(search, look, probes, at), at, FITTABLE * at.cost
-        )
+        starts = _starts(search, look, probes, at)
+        options = refined(search, look, starts, at, FITTABLE * at.cost)
         swaps = _swaps(search, look, probes, options[:2])
         options += refined(search, look, swaps)
         found = _pick(search, options, best)
         if found is None:
             # Perhaps what is missing shows in other recordings.
             others = tuple(sorted(with_most_left(search, best.fit.residual)))
-            if best.error < LEFT or others == search.looked_at:
+            if best.error < NEAR_FLOOR or others == search.looked_at:
                 break
             search.looked_at = others
             search.probes.clear()
@@ -176,7 +175,7 @@ def refined(
 def _polished(search: Search, found: Scored) -> Scored:
     """Fit to the end: what a half-way fit leaves looks like one more effect."""
     starts = [found.effects]
-    if found.error > LEFT:
+    if found.error > NEAR_FLOOR:
         alone = look_at(search, with_most_left(search, found.fit.residual)[:1])
         starts += elsewhere(alone, found.effects)
     fits = fit(search.library, starts, search.weigh, steps=12, tolerance=1e-4)
@@ -242,7 +241,7 @@ def _starts(
 ) -> list[tuple[AppliedEffect, ...]]:
     """Starts of the most telling candidates, beside the present effects."""
     starts, counts = [], dict[Candidate, int]()
-    if at.cost > LEFT**2:
+    if at.cost > NEAR_FLOOR**2:
         alone = look_at(look, with_most_left(look, at.residual)[:1])
         for candidate in look.library:
             if jumps(look, candidate) and candidate not in candidates_of(at.effects):

@@ -12,11 +12,17 @@ from rlco.gap.left_over import describe_left
 from rlco.gap.log import Array
 from rlco.gap.probe import probe, start_of
 from rlco.gap.problem import Candidate, Finding, Gap, Hypothesis, Value, Verdict
-from rlco.gap.search import BETTER, at_bounds, first_look, ranked, refined
+from rlco.gap.search import (
+    BETTER,
+    NEAR_FLOOR,
+    at_bounds,
+    first_look,
+    ranked,
+    refined,
+)
 from rlco.gap.search_state import Scored, Search
 from rlco.physics.effects import EFFECTS, AppliedEffect
 
-NEAR_FLOOR = 1.3  # held-out error over the noise floor
 ENOUGH = 0.5  # share of the gap that effects must explain to be named
 HOPELESS = 10.0  # times the best cost, after two steps
 RIVALS = 5  # others that are tried in the place of each named effect

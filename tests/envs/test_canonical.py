@@ -24,7 +24,7 @@ from rlco.envs import (
     from_vla,
     make_env,
 )
-from rlco.errors import RenderingError, RlcoError
+from rlco.errors import RlcoError
 
 
 def play(env: EnvBase, td: TensorDictBase, actions: torch.Tensor) -> TensorDictBase:
@@ -205,11 +205,9 @@ def test_by_way_of_gymnasium_the_last_chunk_ends_at_the_horizon() -> None:
     torch.testing.assert_close(around[keys.STATE], direct[keys.STATE], atol=0, rtol=0)
 
 
+@pytest.mark.usefixtures("rendering")
 def test_by_way_of_gymnasium_the_same_is_seen() -> None:
-    try:
-        direct, around = both_ways(chunk=2, image_size=(24, 32))
-    except RenderingError as error:
-        pytest.skip(f"no OpenGL library: {error}")
+    direct, around = both_ways(chunk=2, image_size=(24, 32))
     assert torch.equal(around[keys.IMAGE], direct[keys.IMAGE])
 
 
@@ -265,12 +263,9 @@ def test_torchrls_mujoco_tasks_step_as_they_do_by_themselves() -> None:
     assert out["truncated"].squeeze(-1).tolist() == [[False, False, False, True]] * 2
 
 
+@pytest.mark.usefixtures("rendering")
 def test_torchrls_wrapper_for_libero_has_rlcos_entries() -> None:
-    try:
-        wrapped = libero_lift(horizon=5)
-    except (RenderingError, ImportError, AttributeError) as error:
-        pytest.skip(f"no OpenGL library: {error}")
-    env = from_vla(lambda: wrapped, chunk=4)
+    env = from_vla(partial(libero_lift, horizon=5), chunk=4)
     check_env_specs(env)
     out = play(env, env.reset(), torch.zeros(2, 1, 4, 7))
     assert out[keys.STATE].shape == (1, 2, 9)

@@ -23,6 +23,7 @@ from rlco.data import SimRealReplayBuffer
 from rlco.envs import from_gymnasium, from_mujoco, from_vla, make_env
 from rlco.errors import RenderingError
 from rlco.losses import CoTrainingLoss, ImitationLoss, log_probs
+from rlco.physics.camera import check_rendering
 from rlco.policies import GaussianPolicy, ValueNetwork
 
 CHUNK, DECISIONS = 2, 4
@@ -34,10 +35,10 @@ def beyond(value: float, td: TensorDictBase) -> torch.Tensor:
 
 def libero() -> EnvBase:
     try:
-        wrapped = libero_lift(horizon=6)
-    except (RenderingError, ImportError, AttributeError) as error:
+        check_rendering()
+    except RenderingError as error:
         pytest.skip(f"no OpenGL library: {error}")
-    return from_vla(lambda: wrapped, chunk=CHUNK)
+    return from_vla(partial(libero_lift, horizon=6), chunk=CHUNK)
 
 
 walker = partial(Walker2dEnv, backend="mujoco", max_episode_steps=6, seed=0)
