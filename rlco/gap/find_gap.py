@@ -7,6 +7,7 @@ from collections.abc import Callable, Collection
 
 from rlco.gap.problem import Problem, Verdict
 from rlco.gap.search import search_effects
+from rlco.gap.search_exact import with_exact_model
 from rlco.gap.search_start import start_search
 from rlco.gap.verdict import conclude
 
@@ -36,6 +37,7 @@ def find_gap(
     complete = True
     try:
         search_effects(search)
+        search = with_exact_model(search)
         verdict = conclude(search, 0.0, complete=True)
     except KeyboardInterrupt:
         complete = False

@@ -16,6 +16,7 @@ from rlco.gap.problem import Integers
 
 DRAWS = 400
 COVERED = 0.90
+NORMAL = 1.645  # standard deviations that hold as much of a normal distribution
 
 
 def block_bootstrap(jacobian: Array, residual: Array, blocks: Integers) -> Array:
@@ -59,5 +60,5 @@ def half_widths(
     resampled = (high - low) / 2
     normal = free @ free.T
     normal = normal + 1e-12 * np.trace(normal) * np.eye(len(normal))
-    prior = 1.645 * np.sqrt(np.maximum(np.diag(np.linalg.inv(normal)), 0.0))
+    prior = NORMAL * np.sqrt(np.maximum(np.diag(np.linalg.inv(normal)), 0.0))
     return np.asarray(np.hypot(resampled, prior))

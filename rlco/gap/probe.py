@@ -77,7 +77,7 @@ def probe(
             continue
         known = library[candidate]
         neutral = np.array([p.neutral for p in known])
-        columns = _orthonormal(change[sizes > 1e-9 * sizes.max()])
+        columns = orthonormal(change[sizes > 1e-9 * sizes.max()])
         one_sided = known[0].low >= known[0].neutral
         probes.append(Probe(candidate, values, neutral, columns, change[0], one_sided))
     return probes
@@ -101,7 +101,8 @@ def _plans(library: Library, candidate: Candidate) -> list[tuple[Array, list[Arr
     return plans
 
 
-def _orthonormal(columns: Array) -> Array:
+def orthonormal(columns: Array) -> Array:
+    """Return orthonormal directions that span the same as rows, (directions, N)."""
     basis, triangle = np.linalg.qr(columns.T)
     size = np.abs(np.diag(triangle))
     return np.ascontiguousarray(basis[:, size > 1e-6 * size.max()].T)
@@ -122,7 +123,7 @@ def explained(one: Probe, residual: Array, beside: Array) -> float:
         columns = columns[size > 1e-3]
         if not len(columns):
             return 0.0
-        columns = _orthonormal(columns)
+        columns = orthonormal(columns)
     along = columns @ residual
     if one.one_sided and one.first @ residual > 0.0 and len(columns) == 1:
         return 0.0

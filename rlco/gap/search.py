@@ -48,7 +48,7 @@ def search_effects(search: Search) -> Scored:
         if not best.effects:
             sizes = [float(np.mean(one.first**2)) for one in probes]
             search.visible = sum(size > 1.0 for size in sizes) > 0.2 * len(sizes)
-        starts = _starts(search, look, probes, at)
+        starts = starts_beside(search, look, probes, at)
         options = refined(search, look, starts, at, FITTABLE * at.cost)
         swaps = _swaps(search, look, probes, options[:2])
         options += refined(search, look, swaps)
@@ -61,7 +61,7 @@ def search_effects(search: Search) -> Scored:
             search.looked_at = others
             search.probes.clear()
             continue
-        best = _drop(search, _polished(search, found))
+        best = _drop(search, polished(search, found))
         best = search.best = with_spread_at(search, best)
         search.on_step(_sentence(best), len(best.effects) / LARGEST)
     best = search.best = _without_unseen(search, best)
@@ -172,7 +172,7 @@ def refined(
     return search.fit([one.effects for one in near], steps=5)
 
 
-def _polished(search: Search, found: Scored) -> Scored:
+def polished(search: Search, found: Scored) -> Scored:
     """Fit to the end: what a half-way fit leaves looks like one more effect."""
     starts = [found.effects]
     if found.error > NEAR_FLOOR:
@@ -221,22 +221,23 @@ def _beside(at: Fit) -> Array:
     return np.ascontiguousarray(basis.T)
 
 
-def ranked(probes: Iterable[Probe], at: Fit) -> list[Probe]:
+def ranked(probes: Iterable[Probe], at: Fit, hint: float = HINT) -> list[Probe]:
     """Return the probes that would explain something beside a fit, most telling first.
 
     Args:
         probes: What effects would change.
         at: The fit beside which they are looked at, of the same recordings.
+        hint: Part of the mean square that a probe must explain.
     """
     beside = _beside(at)
     left = at.residual - (at.residual @ beside.T) @ beside
     gains = [(explained(one, left, beside), i, one) for i, one in enumerate(probes)]
     # Fitting explains more than a first look, not many times as much.
-    least = HINT * float(np.mean(at.residual**2))
+    least = hint * float(np.mean(at.residual**2))
     return [one for gain, _, one in sorted(gains, key=lambda g: -g[0]) if gain > least]
 
 
-def _starts(
+def starts_beside(
     search: Search, look: Search, probes: list[Probe], at: Fit
 ) -> list[tuple[AppliedEffect, ...]]:
     """Starts of the most telling candidates, beside the present effects."""

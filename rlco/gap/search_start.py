@@ -41,7 +41,7 @@ def start_search(
     total = len(problem.log.recordings)
     heldout = tuple(i for i in range(total) if i % 3 == 2) or (total - 1,)
     train = tuple(i for i in range(total) if i not in heldout)
-    nominal, moved = _moved(problem, ())
+    nominal, moved = moved_by_spread(problem, ())
     layout = problem.layout
     scale = problem.noise[layout.channel]
     prior = np.full(len(moved), spread)
@@ -109,12 +109,18 @@ def _left(search: Search, residual: Array) -> Array:
     return np.array([np.mean(residual[of == one] ** 2) for one in search.train])
 
 
-def _moved(
+def moved_by_spread(
     problem: Problem,
     effects: tuple[AppliedEffect, ...],
     recordings: tuple[int, ...] | None = None,
 ) -> tuple[Array, Array]:
-    """Return residuals (N,), and what a unit of each spread number does (spread, N)."""
+    """Return residuals (N,), and what a unit of each spread number does (spread, N).
+
+    Args:
+        problem: Robot and log.
+        effects: What acts beside it.
+        recordings: Some of the recordings; None for all.
+    """
     names = len(problem.spread_names)
     hypotheses = [Hypothesis(effects)] + [
         Hypothesis(effects, tuple(_STEP * (i == j) for j in range(names)))
@@ -155,19 +161,19 @@ def with_spread_at(search: Search, best: Scored) -> Scored:
     layout, prior = search.problem.layout, search.prior
     scale = search.problem.noise[layout.channel]
     looked = np.isin(layout.recording, search.looked_at)
-    _, moved = _moved(search.problem, best.effects, search.looked_at)
+    _, moved = moved_by_spread(search.problem, best.effects, search.looked_at)
     before, after = (
         float(np.sum((rows * prior[:, None] / scale[looked]) ** 2))
         for rows in (search.moved[:, looked], moved)
     )
     if not GREW * before < after < np.inf:
         return best
-    _, moved = _moved(search.problem, best.effects)
+    _, moved = moved_by_spread(search.problem, best.effects)
     if not np.isfinite(moved).all():
         return best
     near, far = (np.isin(layout.recording, p) for p in (search.train, search.heldout))
     order = np.concatenate([np.flatnonzero(near), np.flatnonzero(far)])
-    search.moved = moved
+    search.moved, search.on_the_brink = moved, True
     search.weighting, search.together, search.counted_once = _weightings(
         scale, near, order, moved, prior, search.outliers
     )

@@ -67,6 +67,7 @@ class Search:
         outliers: What a second may cost at most, in the layout's order.
         at_first: As `together` where no effect acts.
         looked_at: Training recordings of a first look.
+        on_the_brink: Whether effects make the robot far more sensitive to the spread.
         visible: Whether effects of typical sizes would show in these recordings.
         probes: The last first look at each candidate.
         trail: What was tried.
@@ -89,6 +90,7 @@ class Search:
     outliers: Outliers | None
     at_first: Weighting
     looked_at: tuple[int, ...]
+    on_the_brink: bool = False
     visible: bool = True
     probes: list[Probe] = field(default_factory=list)
     trail: list[dict[str, object]] = field(default_factory=list)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
 
 from rlco.gap.fit import candidates_of, fit, linearise
-from rlco.gap.intervals import half_widths
+from rlco.gap.intervals import NORMAL, half_widths
 from rlco.gap.left_over import describe_left
 from rlco.gap.log import Array
 from rlco.gap.probe import probe, start_of
@@ -23,6 +24,7 @@ from rlco.gap.search import (
 from rlco.gap.search_state import Scored, Search
 from rlco.physics.effects import EFFECTS, AppliedEffect
 
+QUIET = ("no_gap", "no_improvement", "not_identifiable")
 ENOUGH = 0.5  # share of the gap that effects must explain to be named
 HOPELESS = 10.0  # times the best cost, after two steps
 RIVALS = 5  # others that are tried in the place of each named effect
@@ -43,6 +45,9 @@ def conclude(search: Search, seconds: float, complete: bool) -> Verdict:
     rivals: list[tuple[tuple[Candidate, ...], dict[str, float]]] = []
     if best.effects and complete:
         best, rivals = find_rivals(search, best)
+        within = _within_bounds(search, best)
+        if within is not best:
+            best, rivals = find_rivals(search, within)
     kind = _kind(search, none, best, left, rivals)
     named = kind in ("named", "ambiguous")
     found = best if named else none
@@ -53,9 +58,7 @@ def conclude(search: Search, seconds: float, complete: bool) -> Verdict:
         verdict=kind,
         effects=effects,
         gap=gap,
-        unexplained=describe_left(search.problem, found.effects, left if named else 1.0)
-        if kind not in ("no_gap", "not_identifiable") and found.error > NEAR_FLOOR
-        else {"share": 0.0, "target": None, "note": _nothing(search, gap)},
+        unexplained=_unexplained(search, kind, found),
         closest=() if named else _closest(search, none),
         seconds=seconds,
         hypothesis=Hypothesis(found.effects),
@@ -65,14 +68,21 @@ def conclude(search: Search, seconds: float, complete: bool) -> Verdict:
     )
 
 
-def _nothing(search: Search, gap: Gap) -> str:
-    """Say why what is left is no gap: noise, or a small spread of all numbers."""
-    if gap.after_heldout < NEAR_FLOOR * gap.noise_floor:
-        return "nothing beyond the noise"
-    return (
-        "nothing beyond what the noise and numbers that are about "
-        f"{np.max(search.prior, initial=0.0):.0%} off would leave"
-    )
+def _unexplained(search: Search, kind: str, found: Scored) -> Mapping[str, object]:
+    """Say what is left in held-out recordings, and whether it may be the spread."""
+    after, likely = _heldout(search, found.effects), found.error < NEAR_FLOOR
+    spread = f"numbers that are about {np.max(search.prior, initial=0.0):.0%} off"
+    if kind in QUIET and after > NEAR_FLOOR:
+        note = f"nothing beyond what the noise and {spread} would leave"
+        return {"share": 0.0, "target": None, "note": note}
+    if kind in QUIET or (likely and after < NEAR_FLOOR):
+        return {"share": 0.0, "target": None, "note": "nothing beyond the noise"}
+    before = max(_heldout(search, ()) ** 2 - 1.0, 1e-9)
+    share = min(max(after**2 - 1.0, 0.0) / before, 1.0) if found.effects else 1.0
+    told = dict(describe_left(search.problem, found.effects, share))
+    if likely:
+        told["note"] = f"{told['note']}; {spread} would leave as much"
+    return told
 
 
 def left_share(none: Scored, best: Scored) -> float:
@@ -162,6 +172,20 @@ def find_rivals(
     return best, rivals
 
 
+def _within_bounds(search: Search, best: Scored) -> Scored:
+    """Return what does as well with no number at its bounds, where there is such."""
+    if not at_bounds(search, best):
+        return best
+    likely = [
+        one
+        for one in search.scores.values()
+        if 0 < len(one.effects) <= len(best.effects)
+        and is_rival(search, best, one)
+        and not at_bounds(search, one)
+    ]
+    return min(likely, key=lambda one: one.fit.cost, default=best)
+
+
 def is_rival(search: Search, best: Scored, one: Scored) -> bool:
     """Return whether another set explains the data as well, as far as can be told.
 
@@ -244,6 +268,11 @@ def _widths(search: Search, best: Scored) -> Array:
         widths[smooth] = half_widths(
             here.jacobian[smooth], here.residual, rows, free.jacobian[smooth]
         )
+    if search.on_the_brink:
+        # Differences are no guide there: a limit is told in units of the arm's weight.
+        values = np.concatenate([effect.values for effect in best.effects])
+        least = NORMAL * np.max(search.prior, initial=0.0) * np.abs(values)
+        widths[smooth] = np.maximum(widths, least)[smooth]
     return widths
 
 

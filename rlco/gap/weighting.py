@@ -88,6 +88,11 @@ class Weighting:
         along = scaled @ self.basis
         return np.asarray(scaled + (along * (self.shrink - 1.0)) @ self.basis.T)
 
+    def scaled_from(self, weighted: Array) -> Array:
+        """Return what was weighed, (..., N), in units of the noise."""
+        along = weighted @ self.basis
+        return np.asarray(weighted + (along * (1.0 / self.shrink - 1.0)) @ self.basis.T)
+
     def scaled(self, residuals: Array) -> Array:
         """Return residuals (..., N) in units of the noise, outliers bounded."""
         scaled = residuals / self.scale

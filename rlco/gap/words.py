@@ -208,7 +208,8 @@ def certainty(verdict: Verdict) -> list[str]:
             )
     share = verdict.unexplained.get("share")
     if verdict.effects and isinstance(share, int | float) and share >= 0.05:
-        lines.append(f"{100 * share:.0f} % of the gap stays unexplained.")
+        note = verdict.unexplained.get("note")
+        lines.append(f"{100 * share:.0f} % of the gap stays unexplained: {note}.")
     if not verdict.complete:
         lines.append("The search was stopped early: this is the best so far.")
     return lines

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from rlco.errors import RlcoError
 from rlco.physics.effects import AppliedEffect, StepTerms
+from rlco.physics.effects.actuator_lag import lag_part
 from rlco.physics.effects.apply import (
     EffectError,
     apply_to_measurement,
@@ -242,13 +243,13 @@ def _period(steps: float) -> float:
 
 
 def _lag(model: mujoco.MjModel, effects: Iterable[AppliedEffect]) -> Array:
-    """Return the filters' coefficients, as `actuator_lag` has them."""
+    """Return the part of the way that each actuator goes in a step, (actuators,)."""
     lag = np.ones(model.nu)
     step = float(model.opt.timestep)
     for effect in effects:
         if effect.name == "actuator_lag":
-            constant = max(float(effect.values[0]), step)
-            lag[actuator_of(model, str(effect.target))] = step / constant
+            actuator = actuator_of(model, str(effect.target))
+            lag[actuator] = lag_part(float(effect.values[0]), step)
     return lag
 
 

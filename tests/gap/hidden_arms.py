@@ -23,6 +23,18 @@ armature="0.01"/><inertial pos="0.08 0 0" mass="0.3" diaginertia="0.001 0.001 0.
 <position name="shoulder" joint="shoulder" kp="40" kv="2"/>
 <position name="elbow" joint="elbow" kp="20" kv="1"/></actuator></mujoco>
 """
+# Two turntables: neither feels the other, or its weight.
+TURNTABLES = """
+<mujoco><compiler angle="radian"/>
+<option timestep="0.004" integrator="implicitfast"/><worldbody>
+<body name="left"><joint name="shoulder" axis="0 0 1" damping="0.2" armature="0.01"/>
+<inertial pos="0 0 0" mass="0.5" diaginertia="0.002 0.002 0.002"/></body>
+<body name="right"><joint name="elbow" axis="0 0 1" damping="0.1" armature="0.01"/>
+<inertial pos="0 0 0" mass="0.3" diaginertia="0.001 0.001 0.001"/></body>
+</worldbody><actuator>
+<position name="shoulder" joint="shoulder" kp="40" kv="2"/>
+<position name="elbow" joint="elbow" kp="20" kv="1"/></actuator></mujoco>
+"""
 Hide = Callable[[mujoco.MjModel], None]
 Act = Callable[[mujoco.MjModel, mujoco.MjData], None]
 

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
-from hidden_arms import FPS, TWO_LINKS, Hide, record
+import pytest
+from hidden_arms import FPS, TURNTABLES, TWO_LINKS, Hide, record
 from numpy.typing import NDArray
 
 from rlco.gap.arm_rollouts import ArmRollouts
@@ -16,18 +19,6 @@ from rlco.gap.search_start import start_search
 from rlco.gap.verdict import conclude
 
 _NOISE = np.full(2, 4e-4)
-# Two turntables: neither feels the other, or its weight.
-_TURNTABLES = """
-<mujoco><compiler angle="radian"/>
-<option timestep="0.004" integrator="implicitfast"/><worldbody>
-<body name="left"><joint name="shoulder" axis="0 0 1" damping="0.2" armature="0.01"/>
-<inertial pos="0 0 0" mass="0.5" diaginertia="0.002 0.002 0.002"/></body>
-<body name="right"><joint name="elbow" axis="0 0 1" damping="0.1" armature="0.01"/>
-<inertial pos="0 0 0" mass="0.3" diaginertia="0.001 0.001 0.001"/></body>
-</worldbody><actuator>
-<position name="shoulder" joint="shoulder" kp="40" kv="2"/>
-<position name="elbow" joint="elbow" kp="20" kv="1"/></actuator></mujoco>
-"""
 _WEIGHTLESS = TWO_LINKS.replace("<option ", '<option gravity="0 0 0" ')
 
 
@@ -66,8 +57,8 @@ def _only_in(training: Hide) -> Log:
 
 
 def test_a_slow_motion_leaves_a_class_that_holds_what_was_hidden() -> None:
-    log = record(_viscous, motion=_slow, xml=_TURNTABLES)
-    verdict = _verdict(log, _TURNTABLES)
+    log = record(_viscous, motion=_slow, xml=TURNTABLES)
+    verdict = _verdict(log, TURNTABLES)
     assert verdict.verdict == "ambiguous"
     (finding,) = verdict.effects
     members = {(finding.name, finding.target)}
@@ -78,14 +69,48 @@ def test_a_slow_motion_leaves_a_class_that_holds_what_was_hidden() -> None:
 
 def test_rivals_are_looked_for_where_all_first_looks_were_forgotten() -> None:
     """As after the last effect, where the spread had to be looked at again."""
-    log = record(_viscous, motion=_slow, xml=_TURNTABLES)
-    problem = ArmRollouts(mujoco.MjSpec.from_string(_TURNTABLES), log, _NOISE)
+    log = record(_viscous, motion=_slow, xml=TURNTABLES)
+    problem = ArmRollouts(mujoco.MjSpec.from_string(TURNTABLES), log, _NOISE)
     search = start_search(problem)
     best = search_effects(search)
     search.scores = {n: search.scores[n] for n in (frozenset(), best.names)}
     search.probes.clear()
     (finding,) = conclude(search, 0.0, complete=True).effects
     assert finding.rivals
+
+
+def test_a_rival_that_stays_within_its_bounds_is_named_instead() -> None:
+    log = record(_viscous, motion=_slow, xml=TURNTABLES)
+    search = start_search(
+        ArmRollouts(mujoco.MjSpec.from_string(TURNTABLES), log, _NOISE)
+    )
+    best = search_effects(search)
+    (effect,), (known,) = best.effects, best.names
+    (parameter,) = search.library[known]
+    tight = replace(parameter, high=float(effect.values[0]))
+    search.library = {**search.library, known: (tight,)}
+    verdict = conclude(search, 0.0, complete=True)
+    assert verdict.verdict == "ambiguous"
+    (finding,) = verdict.effects
+    assert finding.name != known.name
+    assert known in finding.rivals
+
+
+def test_the_share_that_stays_is_of_the_held_out_mean_square_above_the_noise() -> None:
+    def hide(model: mujoco.MjModel) -> None:
+        model.dof_frictionloss[1] = 0.2
+        model.dof_damping[:] *= 0.97  # which is no gap by itself, nor named beside one
+        model.body_mass[:] *= 1.02
+
+    verdict = _verdict(record(hide))
+    assert [finding.name for finding in verdict.effects] == ["coulomb_friction"]
+    gap, left = verdict.gap, verdict.unexplained
+    above = [x**2 - gap.noise_floor**2 for x in (gap.after_heldout, gap.before_heldout)]
+    assert left["share"] == pytest.approx(above[0] / above[1], rel=1e-6)
+    assert left["share"] > 0.0
+    assert str(left["note"]).endswith(
+        "numbers that are about 3% off would leave as much"
+    )
 
 
 def test_a_robot_at_rest_shows_nothing_and_is_said_to_show_nothing() -> None:

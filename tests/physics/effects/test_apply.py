@@ -196,3 +196,24 @@ def test_names_are_found_with_and_without_robosuites_prefixes() -> None:
     assert plain_name("fixed_mount0_base") == "base"
     with pytest.raises(UnknownNameError, match="unknown target of an effect 'knee'"):
         found("knee")
+
+
+def test_a_lag_is_the_exact_filter_of_mujoco() -> None:
+    constant, steps = 0.013, 60
+    spec = mujoco.MjSpec.from_string(ARM)
+    shoulder = spec.actuator("s")
+    shoulder.dyntype = mujoco.mjtDyn.mjDYN_FILTEREXACT
+    shoulder.dynprm[0] = constant
+    lagging = spec.compile()
+    data = mujoco.MjData(lagging)
+    sent = np.random.default_rng(0).normal(size=(steps, 3)).cumsum(axis=0)
+    data.act[0] = sent[0, 0]  # as our own filter starts
+    reached = []
+    for row in sent:
+        data.ctrl[:] = row
+        mujoco.mj_step(lagging, data)
+        reached.append(float(data.act[0]))
+    lag = effect("actuator_lag", JOINTS[0], time_constant=constant)
+    out = apply_to_commands(sent, model(), [lag])
+    np.testing.assert_allclose(out[:, 0], reached, atol=1e-12)
+    np.testing.assert_array_equal(out[:, 1:], sent[:, 1:])
