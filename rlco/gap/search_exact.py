@@ -1,8 +1,8 @@
 """A small effect that a spread of all numbers would explain too, but not more simply.
 
 Numbers that are all a little off make up for one that is off by a little more. But
-where one effect by itself leaves no more than all of them together, they have nothing
-else to make up for: the model is exact but for that effect.
+where one effect by itself leaves nothing but noise, and no more than all of them
+together, they have nothing else to make up for: the model is exact but for that effect.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def with_exact_model(search: Search) -> Search:
     for one in refined(exact, look, starts, at, at.cost - HALF_WAY * explained):
         one = polished(exact, one)
         gain = 1.0 - one.error / best.error
-        alone = _rms(one.everything) < AS_WELL * left
+        alone = one.error < CLEAN and _rms(one.everything) < AS_WELL * left
         if alone and gain > BETTER and exact.better(one, best):
             exact.best = one
             exact.trail.append(
