@@ -48,7 +48,7 @@ def search_effects(search: Search) -> Scored:
         if not best.effects:
             sizes = [float(np.mean(one.first**2)) for one in probes]
             search.visible = sum(size > 1.0 for size in sizes) > 0.2 * len(sizes)
-        starts = starts_beside(search, look, probes, at)
+        starts = _scanned(look, at) + starts_beside(search, probes, at)
         options = refined(search, look, starts, at, FITTABLE * at.cost)
         swaps = _swaps(search, look, probes, options[:2])
         options += refined(search, look, swaps)
@@ -237,16 +237,24 @@ def ranked(probes: Iterable[Probe], at: Fit, hint: float = HINT) -> list[Probe]:
     return [one for gain, _, one in sorted(gains, key=lambda g: -g[0]) if gain > least]
 
 
+def _scanned(look: Search, at: Fit) -> list[tuple[AppliedEffect, ...]]:
+    """Starts of numbers that jump, from all their values in one recording."""
+    if at.cost < NEAR_FLOOR**2:
+        return []
+    alone = look_at(look, with_most_left(look, at.residual)[:1])
+    return [
+        start
+        for candidate in look.library
+        if jumps(look, candidate) and candidate not in candidates_of(at.effects)
+        for start in best_values(alone, at.effects, candidate)
+    ]
+
+
 def starts_beside(
-    search: Search, look: Search, probes: list[Probe], at: Fit
+    search: Search, probes: list[Probe], at: Fit
 ) -> list[tuple[AppliedEffect, ...]]:
     """Starts of the most telling candidates, beside the present effects."""
     starts, counts = [], dict[Candidate, int]()
-    if at.cost > NEAR_FLOOR**2:
-        alone = look_at(look, with_most_left(look, at.residual)[:1])
-        for candidate in look.library:
-            if jumps(look, candidate) and candidate not in candidates_of(at.effects):
-                starts += best_values(alone, at.effects, candidate)
     for one in ranked(probes, at):
         count = counts.get(one.candidate, 0)
         if count == 2 or (count == 0 and len(counts) == FITTED):

@@ -7,30 +7,30 @@ together, they have nothing else to make up for: the model is exact but for that
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
-from rlco.gap.fit import Fit, linearise
-from rlco.gap.log import Array
+from rlco.gap.fit import Fit, candidates_of, linearise
 from rlco.gap.probe import Probe, orthonormal
-from rlco.gap.problem import Integers
 from rlco.gap.search import (
     BETTER,
     CLEAN,
+    NEAR_FLOOR,
     first_look,
     polished,
     ranked,
     refined,
     starts_beside,
 )
-from rlco.gap.search_start import moved_by_spread
+from rlco.gap.search_start import GREW, moved_by_spread, weightings
 from rlco.gap.search_state import Search
 from rlco.gap.weighting import Weighting
 from rlco.physics.effects import AppliedEffect
 
 AS_WELL = 1.0 + BETTER  # times what the spread leaves that one effect may leave
 FEWER = 3  # numbers of the spread, at least, in the place of which one effect comes
+TOLD = 0.1  # weight of a direction that the recordings tell much better than the prior
 HINT = 0.3  # part of what the spread explains that a first look must explain
 HALF_WAY = 0.6  # part of it that two steps must explain
 
@@ -47,126 +47,79 @@ def with_exact_model(search: Search) -> Search:
     """
     if search.best is None or not len(search.prior):
         return search
-    exact, effects = _exact(search), search.best.effects
+    effects = search.best.effects
+    if search.heldout_error(effects) < CLEAN:
+        return search
+    if effects:
+        search.counted_once = _spread_beside(search, effects)
+    spread = search.counted_once
+    # On the brink the last digits of a simulation show, as if they were news.
+    few = int((spread.shrink < TOLD).sum()) < FEWER
+    if search.sensitivity > GREW or not search.probes or few:
+        return search
+    exact = _exact(search)
     nothing = exact.score([linearise(exact.library, (), exact.weigh)])
     best = next(iter(exact.fit([effects]) if effects else nothing), None)
-    if best is None or best.error < CLEAN:
+    if best is None:
         return search
-    spread = _Spread.beside(search, effects)
-    search.counted_once = spread.weighting(spread.train)
-    left = _rms(spread.left(spread.both, best.everything))
-    # On the brink the last digits of a simulation show, as if they were news.
-    if search.on_the_brink or not search.probes or spread.numbers < FEWER:
-        return search
+    left = float(np.mean(spread.beyond_spread(best.fit.residual) ** 2))
+    explained = 1.0 - left / best.fit.cost
     look = first_look(exact)
     at = linearise(look.library, best.effects, look.weigh)
-    near = spread.left(_rows(search, look.train), at.residual)
-    explained = at.cost - float(np.mean(near**2))
-    telling = ranked(_as_exact(search, at), at, HINT * explained / at.cost)
-    if not telling:
-        return search
-    starts = starts_beside(exact, look, telling, at)
-    for one in refined(exact, look, starts, at, at.cost - HALF_WAY * explained):
+    telling = ranked(_as_exact(search, at), at, HINT * explained)
+    starts = starts_beside(exact, telling, at)
+    enough = (1.0 - HALF_WAY * explained) * at.cost
+    for one in refined(exact, look, starts, at, enough) if starts else ():
+        if one.error > NEAR_FLOOR:
+            continue
         one = polished(exact, one)
         gain = 1.0 - one.error / best.error
-        alone = one.error < CLEAN and _rms(one.everything) < AS_WELL * left
+        alone = one.error < CLEAN and one.fit.cost < AS_WELL**2 * left
         if alone and gain > BETTER and exact.better(one, best):
             exact.best = one
-            exact.trail.append(
-                {
-                    "effects": one.effects,
-                    "error": one.error,
-                    "gain": gain,
-                    "taken": True,
-                }
-            )
+            row = {"effects": one.effects, "error": one.error, "gain": gain}
+            exact.trail.append({**row, "taken": True})
             return exact
     return search
 
 
-@dataclass(frozen=True)
-class _Spread:
-    """What the spread does beside effects, its prior counted once.
+def _spread_beside(search: Search, effects: tuple[AppliedEffect, ...]) -> Weighting:
+    """Return `Search.counted_once` with what the spread does beside effects.
 
     Friction is told in units of the servo's stiffness: a stiffness that is a little off
     changes what a joint with friction does, and nothing where there is none.
     """
-
-    search: Search
-    moved: Array
-
-    @classmethod
-    def beside(cls, search: Search, effects: tuple[AppliedEffect, ...]) -> _Spread:
-        """Measure it."""
-        if not effects:
-            return cls(search, search.moved)
-        _, moved = moved_by_spread(search.problem, effects)
-        return cls(search, moved if np.isfinite(moved).all() else search.moved)
-
-    @property
-    def train(self) -> Integers:
-        """Rows of the training recordings."""
-        return _rows(self.search, self.search.train)
-
-    @property
-    def both(self) -> Integers:
-        """All rows, those of the training recordings first."""
-        return np.concatenate([self.train, _rows(self.search, self.search.heldout)])
-
-    @property
-    def numbers(self) -> int:
-        """How many of its numbers the recordings fit well."""
-        return int((self.weighting(self.both).shrink < 0.1).sum())
-
-    def weighting(self, rows: Integers) -> Weighting:
-        """Return the weights of some rows."""
-        search = self.search
-        scale = search.problem.noise[search.problem.layout.channel][rows]
-        outliers = search.outliers and search.outliers.part(rows)
-        return Weighting.of(scale, self.moved[:, rows], search.prior, -1, outliers)
-
-    def left(self, rows: Integers, scaled: Array) -> Array:
-        """Return what the best spread leaves of a residual in units of the noise."""
-        once = self.weighting(rows)
-        # What ridge regression leaves of a direction is the square of its weight.
-        along = once.basis.T @ scaled
-        return np.asarray(scaled - once.basis @ (along * (1.0 - once.shrink**2)))
+    _, moved = moved_by_spread(search.problem, effects, search.train)
+    if not np.isfinite(moved).all():
+        return search.counted_once
+    near = np.isin(search.problem.layout.recording, search.train)
+    scale = search.problem.noise[search.problem.layout.channel][near]
+    outliers = search.outliers and search.outliers.part(near)
+    return Weighting.of(scale, moved, search.prior, -1, outliers)
 
 
 def _exact(search: Search) -> Search:
     """Return a search that allows for no spread."""
-    scale = search.problem.noise[search.problem.layout.channel]
-
-    def weighting(rows: Integers) -> Weighting:
-        outliers = search.outliers and search.outliers.part(rows)
-        none = np.zeros((0, len(rows)))
-        return Weighting.of(scale[rows], none, np.zeros(0), outliers=outliers)
-
-    rows = _rows(search, search.train)
-    trained = weighting(rows)
-    together = weighting(np.concatenate([rows, _rows(search, search.heldout)]))
+    moved, prior = np.zeros((0, len(search.problem.layout.channel))), np.zeros(0)
+    parts = search.problem, search.train, search.heldout
+    trained, together, once = weightings(*parts, moved, prior, search.outliers)
     return replace(
         search,
         weighting=trained,
         together=together,
-        counted_once=trained,
+        counted_once=once,
         at_first=together,
-        moved=np.zeros((0, len(scale))),
-        prior=np.zeros(0),
+        moved=moved,
+        prior=prior,
         probes=[],
         scores={},
     )
 
 
-def _rows(search: Search, recordings: tuple[int, ...]) -> Integers:
-    """Return which rows of the layout are of some recordings."""
-    return np.flatnonzero(np.isin(search.problem.layout.recording, recordings))
-
-
 def _as_exact(search: Search, at: Fit) -> list[Probe]:
     """Return the last first look at each effect beside a fit, as it was unweighed."""
     weighting = first_look(search).weighting
-    names = {(effect.name, effect.target) for effect in at.effects}
+    names = candidates_of(at.effects)
     return [
         replace(
             one,
@@ -174,9 +127,5 @@ def _as_exact(search: Search, at: Fit) -> list[Probe]:
             first=weighting.scaled_from(one.first),
         )
         for one in search.probes
-        if (one.candidate.name, one.candidate.target) not in names
+        if one.candidate not in names
     ]
-
-
-def _rms(rows: Array) -> float:
-    return float(np.sqrt(np.mean(rows**2)))

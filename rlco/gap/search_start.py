@@ -10,7 +10,7 @@ from rlco.errors import DataError
 from rlco.gap.fit import library_of, linearise
 from rlco.gap.log import Array
 from rlco.gap.outliers import Outliers, Rows
-from rlco.gap.problem import Hypothesis, Problem
+from rlco.gap.problem import Hypothesis, Integers, Problem
 from rlco.gap.search_state import Scored, Search
 from rlco.gap.weighting import Weighting
 from rlco.physics.effects import AppliedEffect
@@ -45,12 +45,11 @@ def start_search(
     layout = problem.layout
     scale = problem.noise[layout.channel]
     prior = np.full(len(moved), spread)
-    near, far = (np.isin(layout.recording, part) for part in (train, heldout))
-    order = np.concatenate([np.flatnonzero(near), np.flatnonzero(far)])
+    order = training_first(problem, train, heldout)
     seconds = layout.recording * 10_000 + layout.time.astype(np.int64)
     blocks = seconds[order]
     outliers = Outliers.of(nominal / scale, seconds) if problem.has_outliers else None
-    weights = _weightings(scale, near, order, moved, prior, outliers)
+    weights = weightings(problem, train, heldout, moved, prior, outliers)
     search = Search(
         problem,
         library_of(problem, exclude),
@@ -131,15 +130,27 @@ def moved_by_spread(
         return rows[0], (rows[1:] - rows[0]) / _STEP
 
 
-def _weightings(
-    scale: Array,
-    near: Rows,
-    order: Rows,
+def weightings(
+    problem: Problem,
+    train: tuple[int, ...],
+    heldout: tuple[int, ...],
     moved: Array,
     prior: Array,
     outliers: Outliers | None,
 ) -> tuple[Weighting, Weighting, Weighting]:
-    """Return the weights of training rows, of all rows, and with the prior once."""
+    """Return the weights of training rows, of all rows, and with the prior once.
+
+    Args:
+        problem: Robot and log.
+        train: Recordings that are fitted.
+        heldout: Recordings that are not.
+        moved: What each spread number does to the residuals, (spread, N).
+        prior: Standard deviation of each spread number, (spread,).
+        outliers: What a second may cost at most.
+    """
+    scale = problem.noise[problem.layout.channel]
+    order = training_first(problem, train, heldout)
+    near = np.isin(problem.layout.recording, train)
 
     def weighting(part: Rows, count: int) -> Weighting:
         some = outliers and outliers.part(part)
@@ -149,6 +160,16 @@ def _weightings(
         weighting(near, len(scale)),
         weighting(order, len(scale)),
         weighting(near, -1),
+    )
+
+
+def training_first(
+    problem: Problem, train: tuple[int, ...], heldout: tuple[int, ...]
+) -> Integers:
+    """Return the rows of the layout, those of training recordings first."""
+    recording = problem.layout.recording
+    return np.concatenate(
+        [np.flatnonzero(np.isin(recording, p)) for p in (train, heldout)]
     )
 
 
@@ -166,16 +187,17 @@ def with_spread_at(search: Search, best: Scored) -> Scored:
         float(np.sum((rows * prior[:, None] / scale[looked]) ** 2))
         for rows in (search.moved[:, looked], moved)
     )
-    if not GREW * before < after < np.inf:
+    grew = after / before if before > 0.0 else 1.0
+    search.sensitivity = max(search.sensitivity, grew)
+    if not GREW < grew < np.inf:
         return best
     _, moved = moved_by_spread(search.problem, best.effects)
     if not np.isfinite(moved).all():
         return best
-    near, far = (np.isin(layout.recording, p) for p in (search.train, search.heldout))
-    order = np.concatenate([np.flatnonzero(near), np.flatnonzero(far)])
-    search.moved, search.on_the_brink = moved, True
-    search.weighting, search.together, search.counted_once = _weightings(
-        scale, near, order, moved, prior, search.outliers
+    search.moved = moved
+    parts = search.problem, search.train, search.heldout
+    search.weighting, search.together, search.counted_once = weightings(
+        *parts, moved, prior, search.outliers
     )
     search.scores.clear()
     search.probes.clear()

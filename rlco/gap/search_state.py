@@ -67,7 +67,8 @@ class Search:
         outliers: What a second may cost at most, in the layout's order.
         at_first: As `together` where no effect acts.
         looked_at: Training recordings of a first look.
-        on_the_brink: Whether effects make the robot far more sensitive to the spread.
+        sensitivity: By how much more, in squares, the robot shows the spread at most
+            with the effects of any step than without: large where motors hardly hold.
         visible: Whether effects of typical sizes would show in these recordings.
         probes: The last first look at each candidate.
         trail: What was tried.
@@ -90,7 +91,7 @@ class Search:
     outliers: Outliers | None
     at_first: Weighting
     looked_at: tuple[int, ...]
-    on_the_brink: bool = False
+    sensitivity: float = 1.0
     visible: bool = True
     probes: list[Probe] = field(default_factory=list)
     trail: list[dict[str, object]] = field(default_factory=list)
@@ -111,6 +112,16 @@ class Search:
         """Return measured minus simulated under lists of effects, (lists, N)."""
         hypotheses = [Hypothesis(effects) for effects in lists]
         return self.problem.residuals(hypotheses, recordings)
+
+    def heldout_error(self, effects: tuple[AppliedEffect, ...]) -> float:
+        """Return the root mean square, in units of the noise, without any spread."""
+        layout = self.problem.layout
+        held = np.isin(layout.recording, self.heldout)
+        (rows,) = self.residuals([effects], self.heldout)
+        scaled = rows / self.problem.noise[layout.channel][held]
+        if self.outliers is not None:
+            scaled = self.outliers.part(held).bound(scaled)
+        return float(np.sqrt(np.mean(scaled**2)))
 
     def score(self, fits: Sequence[Fit]) -> list[Scored]:
         """Return the fits that hold on held-out recordings without diverging."""

@@ -27,6 +27,7 @@ from rlco.physics.effects import EFFECTS, AppliedEffect
 QUIET = ("no_gap", "no_improvement", "not_identifiable")
 ENOUGH = 0.5  # share of the gap that effects must explain to be named
 HOPELESS = 10.0  # times the best cost, after two steps
+SENSITIVE = 3.0  # times, in squares, that effects may enlarge what the spread does
 RIVALS = 5  # others that are tried in the place of each named effect
 
 
@@ -41,14 +42,13 @@ def conclude(search: Search, seconds: float, complete: bool) -> Verdict:
     best, none = search.best, search.scores[frozenset()]
     if best is None:
         best = none
-    left = left_share(none, best)
     rivals: list[tuple[tuple[Candidate, ...], dict[str, float]]] = []
     if best.effects and complete:
         best, rivals = find_rivals(search, best)
         within = _within_bounds(search, best)
         if within is not best:
             best, rivals = find_rivals(search, within)
-    kind = _kind(search, none, best, left, rivals)
+    kind = _kind(search, none, best, rivals)
     named = kind in ("named", "ambiguous")
     found = best if named else none
     effects = _findings(search, best, rivals) if named else ()
@@ -70,14 +70,14 @@ def conclude(search: Search, seconds: float, complete: bool) -> Verdict:
 
 def _unexplained(search: Search, kind: str, found: Scored) -> Mapping[str, object]:
     """Say what is left in held-out recordings, and whether it may be the spread."""
-    after, likely = _heldout(search, found.effects), found.error < NEAR_FLOOR
+    after, likely = search.heldout_error(found.effects), found.error < NEAR_FLOOR
     spread = f"numbers that are about {np.max(search.prior, initial=0.0):.0%} off"
     if kind in QUIET and after > NEAR_FLOOR:
         note = f"nothing beyond what the noise and {spread} would leave"
         return {"share": 0.0, "target": None, "note": note}
     if kind in QUIET or (likely and after < NEAR_FLOOR):
         return {"share": 0.0, "target": None, "note": "nothing beyond the noise"}
-    before = max(_heldout(search, ()) ** 2 - 1.0, 1e-9)
+    before = max(search.heldout_error(()) ** 2 - 1.0, 1e-9)
     share = min(max(after**2 - 1.0, 0.0) / before, 1.0) if found.effects else 1.0
     told = dict(describe_left(search.problem, found.effects, share))
     if likely:
@@ -96,12 +96,11 @@ def _kind(
     search: Search,
     none: Scored,
     best: Scored,
-    left: float,
     rivals: list[tuple[tuple[Candidate, ...], dict[str, float]]],
 ) -> str:
     if not best.effects:
         # A gap of the fitted recordings alone weighs on the others by the spread.
-        shows = _heldout(search, ()) > NEAR_FLOOR
+        shows = search.heldout_error(()) > NEAR_FLOOR
         if none.error > NEAR_FLOOR and shows:
             return "unexplained"
         if not search.visible:
@@ -110,7 +109,7 @@ def _kind(
         trained = min((one.fit.cost for one in others), default=np.inf)
         better = trained < (1.0 - BETTER) ** 2 * float(np.mean(none.fit.residual**2))
         return "no_improvement" if better else "no_gap"
-    if left > 1.0 - ENOUGH and best.error > NEAR_FLOOR:
+    if left_share(none, best) > 1.0 - ENOUGH and best.error > NEAR_FLOOR:
         return "unexplained"
     if at_bounds(search, best) or not _helps(search, best):
         return "unexplained"
@@ -119,18 +118,9 @@ def _kind(
 
 def _helps(search: Search, best: Scored) -> bool:
     """Return whether the effects help without any spread of the other numbers."""
-    return _heldout(search, best.effects) < (1.0 - BETTER) * _heldout(search, ())
-
-
-def _heldout(search: Search, effects: tuple[AppliedEffect, ...]) -> float:
-    """Root mean square of the held-out residual, in units of the noise."""
-    layout = search.problem.layout
-    held = np.isin(layout.recording, search.heldout)
-    (rows,) = search.residuals([effects], search.heldout)
-    scaled = rows / search.problem.noise[layout.channel][held]
-    if search.outliers is not None:
-        scaled = search.outliers.part(held).bound(scaled)
-    return float(np.sqrt(np.mean(scaled**2)))
+    return search.heldout_error(best.effects) < (1.0 - BETTER) * search.heldout_error(
+        ()
+    )
 
 
 def find_rivals(
@@ -268,7 +258,7 @@ def _widths(search: Search, best: Scored) -> Array:
         widths[smooth] = half_widths(
             here.jacobian[smooth], here.residual, rows, free.jacobian[smooth]
         )
-    if search.on_the_brink:
+    if search.sensitivity > SENSITIVE:
         # Differences are no guide there: a limit is told in units of the arm's weight.
         values = np.concatenate([effect.values for effect in best.effects])
         least = NORMAL * np.max(search.prior, initial=0.0) * np.abs(values)

@@ -98,6 +98,12 @@ class Weighting:
         scaled = residuals / self.scale
         return scaled if self.outliers is None else self.outliers.bound(scaled)
 
+    def beyond_spread(self, scaled: Array) -> Array:
+        """Return what the best spread leaves of a scaled residual, (N,)."""
+        # What ridge regression leaves of a direction is the square of its weight.
+        along = scaled @ self.basis
+        return np.asarray(scaled + (along * (self.shrink**2 - 1.0)) @ self.basis.T)
+
     def explain(self, residual: Array) -> Array:
         """Return the spread that best explains a residual (N,), (spread,)."""
         return np.asarray(self.spread @ self.scaled(residual))

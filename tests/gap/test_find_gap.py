@@ -135,3 +135,6 @@ def test_a_motor_that_can_hardly_hold_its_arm_is_named_alone() -> None:
     assert _names(verdict) == {("torque_limit", "shoulder")}
     (limit,) = verdict.effects[0].parameters.values()
     assert limit.value == pytest.approx(1.5, rel=0.05)
+    # What the arm weighs is known to three per cent, and so is what holds it.
+    assert limit.low < 1.5 < limit.high
+    assert limit.high - limit.value > 0.04 * limit.value

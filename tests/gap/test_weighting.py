@@ -45,3 +45,18 @@ def test_a_far_spread_costs_as_much_as_the_stated_part_of_the_residual() -> None
 def test_without_a_spread_only_the_noise_counts() -> None:
     weighting = Weighting.of(np.array([2.0, 4.0]), np.zeros((0, 2)), np.zeros(0))
     np.testing.assert_array_equal(weighting.weigh(np.array([2.0, 2.0])), [1.0, 0.5])
+
+
+def test_what_was_weighed_comes_back() -> None:
+    weighting = Weighting.of(_SCALE, _JACOBIAN, _PRIOR)
+    residual = _random.normal(size=(2, 40))
+    back = weighting.scaled_from(weighting.weigh(residual))
+    np.testing.assert_allclose(back, residual / _SCALE)
+
+
+def test_beyond_the_best_spread_is_what_its_numbers_leave() -> None:
+    weighting = Weighting.of(_SCALE, _JACOBIAN, _PRIOR, -1)
+    residual = _random.normal(size=40)
+    best = weighting.explain(residual)
+    expected = (residual + best @ _JACOBIAN) / _SCALE
+    np.testing.assert_allclose(weighting.beyond_spread(residual / _SCALE), expected)
