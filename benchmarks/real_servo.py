@@ -27,6 +27,7 @@ DRIVE_SIDE = ("drive_loss", "actuator_gain", "torque_limit")
 # The servo's own numbers that fits start from: as published, and with less friction.
 STARTS = ((0.0, 0.0, 0.0, 0.0, 0.0, -0.02), (0.0, 0.0, -0.5, 0.5, 0.5, -0.02))
 LIKELY = 5  # effects that are judged in each place
+STEPS = 12  # of the fits that tell which: a limit of torque takes more than a few
 SCALE = 0.03  # [rad], a typical residual: the fit only wants a number near one
 
 
@@ -89,7 +90,7 @@ class Ladder:
         """Return the effects that tell most beside a base, all gains fitted."""
         left = [one for one in self.candidates if one not in base.effects]
         every = range(len(self.gains))
-        costs = [self._fit(base.fits[:1], (one,), every, 4).cost for one in left]
+        costs = [self._fit(base.fits[:1], (one,), every, STEPS).cost for one in left]
         return [left[i] for i in np.argsort(costs)[:LIKELY]]
 
     def _judge(self, base: Judged | None, added: tuple[Candidate, ...]) -> Judged:

@@ -12,7 +12,7 @@ from rlco.gap.fit import Fit, candidates_of, fit, linearise, usual_size
 from rlco.gap.log import Array
 from rlco.gap.probe import Probe, explained, probe, start_of
 from rlco.gap.problem import Candidate
-from rlco.gap.search_jumps import best_values, elsewhere, jumps
+from rlco.gap.search_jumps import best_values, better_start, elsewhere, jumps
 from rlco.gap.search_start import with_most_left, with_spread_at
 from rlco.gap.search_state import Scored, Search
 from rlco.gap.weighting import Weighting
@@ -27,6 +27,7 @@ LOOKED_AGAIN = 24  # candidates of a first look beside effects
 FITTABLE = 0.985  # part of the mean square that two steps must not leave
 HINT = 0.015  # part of the mean square that a first look must explain
 BETTER = 0.03  # part of the held-out error that an effect must take away
+WORTH_BOUNDS = 0.1  # the same where a number ran to its bounds: all others are in doubt
 
 
 def search_effects(search: Search) -> Scored:
@@ -49,6 +50,7 @@ def search_effects(search: Search) -> Scored:
             sizes = [float(np.mean(one.first**2)) for one in probes]
             search.visible = sum(size > 1.0 for size in sizes) > 0.2 * len(sizes)
         starts = _scanned(look, at) + starts_beside(search, probes, at)
+        starts += _better(look, starts, at)
         options = refined(search, look, starts, at, FITTABLE * at.cost)
         swaps = _swaps(search, look, probes, options[:2])
         options += refined(search, look, swaps)
@@ -187,7 +189,9 @@ def _pick(search: Search, options: list[Scored], best: Scored) -> Scored | None:
     """Return the best option that is clearly better than what there is."""
     for one in sorted(options, key=lambda one: one.fit.cost):
         gain = 1.0 - one.error / best.error
-        sure = gain > BETTER and search.better(one, best)
+        # A number that ran to its bounds explains nothing: something else was meant.
+        least = WORTH_BOUNDS if at_bounds(search, one) else BETTER
+        sure = gain > least and search.better(one, best)
         search.trail.append(
             {"effects": one.effects, "error": one.error, "gain": gain, "taken": sure}
         )
@@ -248,6 +252,14 @@ def _scanned(look: Search, at: Fit) -> list[tuple[AppliedEffect, ...]]:
         if jumps(look, candidate) and candidate not in candidates_of(at.effects)
         for start in best_values(alone, at.effects, candidate)
     ]
+
+
+def _better(
+    look: Search, starts: list[tuple[AppliedEffect, ...]], at: Fit
+) -> list[tuple[AppliedEffect, ...]]:
+    """Starts of other sizes, where a far one does better than the nearest."""
+    alone = look_at(look, with_most_left(look, at.residual)[:1])
+    return [other for one in starts for other in better_start(alone, one)]
 
 
 def starts_beside(

@@ -8,15 +8,19 @@ alone, and a step away the fit is worse than without.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import product
 
 import numpy as np
 
 from rlco.gap.comparison import block_sums
-from rlco.gap.fit import candidates_of, with_values
+from rlco.gap.fit import candidates_of, usual_size, with_values
 from rlco.gap.log import Array
 from rlco.gap.problem import Candidate
 from rlco.gap.search_state import Search
 from rlco.physics.effects import AppliedEffect
+
+_PARTS = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0, 2.8)  # of the usual size
+_CLEARLY = 0.9  # part of the mean square that a better start may leave
 
 
 def jumps(search: Search, candidate: Candidate) -> bool:
@@ -48,6 +52,41 @@ def best_values(
     left = _left_in_channels(look, look.weigh(lists))
     best = {int(left.mean(axis=1).argmin()), int(np.log(left).mean(axis=1).argmin())}
     return [lists[i] for i in sorted(best)]
+
+
+def better_start(
+    look: Search, start: tuple[AppliedEffect, ...]
+) -> list[tuple[AppliedEffect, ...]]:
+    """Return a start that leaves clearly less than another, where there is one.
+
+    A joint that sticks and slips has many fits that are best among their neighbours.
+
+    Args:
+        look: A search over a recording.
+        start: Effects, of which the last has the numbers in question.
+    """
+    rest, (last,) = start[:-1], start[-1:]
+    (candidate,) = candidates_of([last])
+    known = look.library[candidate]
+    if jumps(look, candidate) or len(known) > 2 or not known[0].scales:
+        return []
+    first, values = known[0], np.array(last.values)
+    usual = np.copysign(usual_size(first), values[0] - first.neutral)
+    others = [_between(min(p.starts), max(p.starts)) for p in known[1:]]
+    grid = product(first.neutral + usual * np.array(_PARTS), *others)
+    low, high = np.array([(p.low, p.high) for p in known]).T
+    lists = [
+        rest + with_values(look.library, [candidate], np.clip(row, low, high))
+        for row in [values, *map(np.array, grid)]
+    ]
+    costs = np.mean(look.weigh(lists) ** 2, axis=1)
+    best = int(costs.argmin())
+    return [lists[best]] if costs[best] < _CLEARLY * costs[0] else []
+
+
+def _between(low: float, high: float) -> Array:
+    """Return three numbers from one to another."""
+    return np.asarray((np.geomspace if low > 0.0 else np.linspace)(low, high, 3))
 
 
 def elsewhere(
