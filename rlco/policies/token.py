@@ -209,7 +209,7 @@ class TokenPolicy(ChunkPolicy):
             logits = self.network.step(context, last, position, caches)
             log_softmax = functional.log_softmax(logits / self.temperature, -1)
             if self.explores:
-                last = torch.multinomial(log_softmax.exp(), 1).squeeze(-1)
+                last = _drawn(log_softmax.exp())
             else:
                 last = log_softmax.argmax(-1)
             tokens.append(last)
@@ -236,3 +236,15 @@ class TokenPolicy(ChunkPolicy):
         logits, _ = self._evaluate(tensordict, self.tokens.encode(before), hidden)
         labels = self.tokens.labels[self.tokens.encode(target)]
         return -(labels * functional.log_softmax(logits, -1)).sum(-1).mean(-1)
+
+
+def _drawn(chances: torch.Tensor) -> torch.Tensor:
+    """Return a token [N] of each row of chances [N, bins].
+
+    One random number a row: `torch.multinomial` draws one for each bin, which took a
+    third of the time of sampling.
+    """
+    below = chances.cumsum(-1)
+    uniform = torch.rand_like(below[:, :1]) * below[:, -1:]
+    found = torch.searchsorted(below, uniform, right=True).squeeze(-1)
+    return found.clamp_max(chances.shape[-1] - 1)
