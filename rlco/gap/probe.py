@@ -17,6 +17,8 @@ from rlco.gap.log import Array
 from rlco.gap.problem import Candidate
 from rlco.physics.effects import AppliedEffect
 
+_LEAST = 0.05  # part of a typical size that a fit starts with
+
 
 @dataclass(frozen=True)
 class Probe:
@@ -142,12 +144,15 @@ def start_of(
     """
     amount = -float(one.first @ residual) / float(one.first @ one.first)
     amount = float(np.clip(amount, -3.0, 3.0))
-    if abs(amount) < 0.05:
-        amount = 0.05
     known = library[one.candidate]
+    low, high = np.array([(p.low, p.high) for p in known]).T
+    neutral, away = one.neutral[0], one.values[0] - one.neutral[0]
+    # Where it does nothing, a fit cannot tell what its other numbers would do.
+    inside = low[0] <= neutral + _LEAST * amount * away <= high[0]
+    if abs(amount) < _LEAST or not inside:
+        amount = _LEAST
     if not known[0].scales:
         amount = 1.0
     values = one.values.copy()
-    values[0] = one.neutral[0] + amount * (one.values[0] - one.neutral[0])
-    low, high = np.array([(p.low, p.high) for p in known]).T
+    values[0] = neutral + amount * away
     return with_values(library, [one.candidate], np.clip(values, low, high))

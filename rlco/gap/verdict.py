@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -210,13 +210,36 @@ def _others(search: Search, best: Scored, place: int) -> list[Scored]:
     unseen = [c for c in fresh if c not in seen]
     search.probes += probe(look.library, unseen, kept, at.residual, look.weigh)
     probes = [one for one in search.probes if one.candidate in fresh]
+    once = [
+        (*kept, effect)
+        for candidate, effect in _once_as_good(search, out, best.names)
+        if candidate in fresh
+    ]
     starts: dict[Candidate, tuple[AppliedEffect, ...]] = {}
     for one in ranked(probes, at):
         start = start_of(search.library, one, at.residual)
         starts.setdefault(one.candidate, kept + start)
     (rows,) = look.weigh([best.effects])
     most = HOPELESS * float(np.mean(rows**2))
-    return refined(search, look, list(starts.values())[:RIVALS], at, most)
+    return refined(search, look, once + list(starts.values())[:RIVALS], at, most)
+
+
+def _once_as_good(
+    search: Search, out: AppliedEffect, names: frozenset[Candidate]
+) -> Iterator[tuple[Candidate, AppliedEffect]]:
+    """Yield others that did as well as an effect beside fewer of the named ones.
+
+    A first look, from afar, would rank some of them low.
+    """
+    own = Candidate(out.name, out.target)
+    for one in list(search.scores.values()):
+        for other, effect in zip(candidates_of(one.effects), one.effects, strict=True):
+            beside = one.names - {other}
+            before = search.scores.get(beside | {own})
+            if other in names or not beside <= names - {own} or before is None:
+                continue
+            if is_rival(search, before, one):
+                yield other, effect
 
 
 def _findings(

@@ -79,6 +79,21 @@ def test_rivals_are_looked_for_where_all_first_looks_were_forgotten() -> None:
     assert finding.rivals
 
 
+def test_what_did_as_well_at_an_earlier_step_is_tried_as_a_rival(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Also where a first look, beside the later effects, ranks it low."""
+
+    def hide(model: mujoco.MjModel) -> None:
+        _viscous(model)
+        model.dof_frictionloss[0] = 0.02
+
+    monkeypatch.setattr("rlco.gap.verdict.RIVALS", 0)  # no first look at all
+    verdict = _verdict(record(hide, motion=_slow, xml=TURNTABLES), TURNTABLES)
+    assert len(verdict.effects) == 2
+    assert next(one for one in verdict.effects if one.target == "elbow").rivals
+
+
 def test_a_rival_that_stays_within_its_bounds_is_named_instead() -> None:
     log = record(_viscous, motion=_slow, xml=TURNTABLES)
     search = start_search(

@@ -1,0 +1,37 @@
+"""What a first look makes of an effect: the numbers that a fit starts from."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from rlco.gap.probe import Probe, start_of
+from rlco.gap.problem import Candidate
+from rlco.physics.effects.effect import Parameter
+
+_SPRING = Candidate("joint_stiffness", "elbow")
+_KNOWN = (
+    Parameter("stiffness", "N m/rad", 0.0, 50.0, 0.0, (2.0,)),
+    Parameter("reference", "rad", -3.0, 3.0, 0.0, (0.5,)),
+)
+
+
+@pytest.mark.parametrize(
+    ("residual", "stiffness"),
+    [
+        ([-3.0, 1.0], 6.0),  # three times the change that was looked at takes it away
+        ([-9.0, 1.0], 6.0),  # a line from so near is not to be trusted further
+        ([-0.02, 1.0], 0.1),  # hardly any: still enough to tell what a reference does
+        ([3.0, 1.0], 0.1),  # a negative one, which there is not
+    ],
+)
+def test_a_fit_starts_where_the_effect_does_something(
+    residual: list[float], stiffness: float
+) -> None:
+    first: NDArray[np.float64] = np.array([1.0, 0.0])
+    one = Probe(
+        _SPRING, np.array([2.0, 0.5]), np.zeros(2), first[None], first, one_sided=True
+    )
+    (effect,) = start_of({_SPRING: _KNOWN}, one, np.array(residual))
+    np.testing.assert_allclose(effect.values, [stiffness, 0.5])
