@@ -2,7 +2,8 @@
 
 A controller that is slower than the commands holds each for a while, and the path of
 the arm changes all over with every millisecond of that while: the right one stands
-alone, and a step away the fit is worse than without.
+alone, and a step away the fit is worse than without. A joint that sticks and slips has
+many fits that are best among their neighbours, too: there a few sizes are tried.
 """
 
 from __future__ import annotations
@@ -58,8 +59,6 @@ def better_start(
     look: Search, start: tuple[AppliedEffect, ...]
 ) -> list[tuple[AppliedEffect, ...]]:
     """Return a start that leaves clearly less than another, where there is one.
-
-    A joint that sticks and slips has many fits that are best among their neighbours.
 
     Args:
         look: A search over a recording.
