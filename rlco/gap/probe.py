@@ -147,10 +147,12 @@ def start_of(
     known = library[one.candidate]
     low, high = np.array([(p.low, p.high) for p in known]).T
     neutral, away = one.neutral[0], one.values[0] - one.neutral[0]
-    # Where it does nothing, a fit cannot tell what its other numbers would do.
-    inside = low[0] <= neutral + _LEAST * amount * away <= high[0]
-    if abs(amount) < _LEAST or not inside:
+    # Where it does nothing, a fit cannot tell what its other numbers would do: not at
+    # its neutral, nor where the sign that would help is not allowed.
+    if not low[0] <= neutral + _LEAST * amount * away <= high[0]:
         amount = _LEAST
+    elif abs(amount) < _LEAST:
+        amount = float(np.copysign(_LEAST, amount))
     if not known[0].scales:
         amount = 1.0
     values = one.values.copy()

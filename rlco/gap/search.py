@@ -49,8 +49,9 @@ def search_effects(search: Search) -> Scored:
         if not best.effects:
             sizes = [float(np.mean(one.first**2)) for one in probes]
             search.visible = sum(size > 1.0 for size in sizes) > 0.2 * len(sizes)
-        starts = _scanned(look, at) + starts_beside(search, probes, at)
-        starts += _better(look, starts, at)
+        starts = starts_beside(search, probes, at)
+        if at.cost > NEAR_FLOOR**2:
+            starts = _tried_values(look, starts, at)
         options = refined(search, look, starts, at, FITTABLE * at.cost)
         swaps = _swaps(search, look, probes, options[:2])
         options += refined(search, look, swaps)
@@ -190,7 +191,8 @@ def _pick(search: Search, options: list[Scored], best: Scored) -> Scored | None:
     for one in sorted(options, key=lambda one: one.fit.cost):
         gain = 1.0 - one.error / best.error
         # A number that ran to its bounds explains nothing: something else was meant.
-        least = WORTH_BOUNDS if at_bounds(search, one) else BETTER
+        ran = at_bounds(search, one) and not at_bounds(search, best)
+        least = WORTH_BOUNDS if ran else BETTER
         sure = gain > least and search.better(one, best)
         search.trail.append(
             {"effects": one.effects, "error": one.error, "gain": gain, "taken": sure}
@@ -241,25 +243,19 @@ def ranked(probes: Iterable[Probe], at: Fit, hint: float = HINT) -> list[Probe]:
     return [one for gain, _, one in sorted(gains, key=lambda g: -g[0]) if gain > least]
 
 
-def _scanned(look: Search, at: Fit) -> list[tuple[AppliedEffect, ...]]:
-    """Starts of numbers that jump, from all their values in one recording."""
-    if at.cost < NEAR_FLOOR**2:
-        return []
+def _tried_values(
+    look: Search, starts: list[tuple[AppliedEffect, ...]], at: Fit
+) -> list[tuple[AppliedEffect, ...]]:
+    """Return starts with those that values tried in one recording show beside them."""
     alone = look_at(look, with_most_left(look, at.residual)[:1])
-    return [
+    jumping = [
         start
         for candidate in look.library
         if jumps(look, candidate) and candidate not in candidates_of(at.effects)
         for start in best_values(alone, at.effects, candidate)
     ]
-
-
-def _better(
-    look: Search, starts: list[tuple[AppliedEffect, ...]], at: Fit
-) -> list[tuple[AppliedEffect, ...]]:
-    """Starts of other sizes, where a far one does better than the nearest."""
-    alone = look_at(look, with_most_left(look, at.residual)[:1])
-    return [other for one in starts for other in better_start(alone, one)]
+    sizes = [other for one in starts for other in better_start(alone, one)]
+    return jumping + starts + sizes
 
 
 def starts_beside(

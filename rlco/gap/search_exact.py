@@ -15,22 +15,32 @@ from rlco.gap.fit import Fit, candidates_of, linearise
 from rlco.gap.probe import Probe, orthonormal
 from rlco.gap.search import (
     BETTER,
-    CLEAN,
+    LARGEST,
     NEAR_FLOOR,
+    at_bounds,
     first_look,
     polished,
     ranked,
     refined,
     starts_beside,
 )
-from rlco.gap.search_start import GREW, moved_by_spread, weightings
-from rlco.gap.search_state import Search
-from rlco.gap.weighting import Weighting
-from rlco.physics.effects import AppliedEffect
+from rlco.gap.search_start import GREW, spread_beside, weightings
+from rlco.gap.search_state import Scored, Search
 
 AS_WELL = 1.0 + BETTER  # times what the spread leaves that one effect may leave
-FEWER = 3  # numbers of the spread, at least, in the place of which one effect comes
-TOLD = 0.1  # weight of a direction that the recordings tell much better than the prior
+FEWER = 3  # directions that the spread takes: one effect for fewer is no simpler
+TOLD = 0.1  # weight of a direction that recordings tell much better than the prior
+EXACT = 1.1  # error over the noise floor where nothing but noise is left
+SURE = 9.0  # chi-squared beyond which a difference is no chance: three deviations
+# What an effect adds to is itself a number that may be off.
+_OWN = {
+    "viscous_damping": "damping",
+    "armature": "armature",
+    "coulomb_friction": "friction",
+    "link_inertia": "inertia",
+    "actuator_gain": "gain",
+    "torque_limit": "limit",
+}
 HINT = 0.3  # part of what the spread explains that a first look must explain
 HALF_WAY = 0.6  # part of it that two steps must explain
 
@@ -48,14 +58,13 @@ def with_exact_model(search: Search) -> Search:
     if search.best is None or not len(search.prior):
         return search
     effects = search.best.effects
-    if search.heldout_error(effects) < CLEAN:
+    if search.heldout_error(search.best) < EXACT or len(effects) >= LARGEST:
         return search
-    if effects:
-        search.counted_once = _spread_beside(search, effects)
-    spread = search.counted_once
     # On the brink the last digits of a simulation show, as if they were news.
-    few = int((spread.shrink < TOLD).sum()) < FEWER
-    if search.sensitivity > GREW or not search.probes or few:
+    if search.sensitivity > GREW or not search.probes:
+        return search
+    spread = spread_beside(search, effects)
+    if int((spread.shrink < TOLD).sum()) < FEWER:
         return search
     exact = _exact(search)
     nothing = exact.score([linearise(exact.library, (), exact.weigh)])
@@ -69,13 +78,15 @@ def with_exact_model(search: Search) -> Search:
     telling = ranked(_as_exact(search, at), at, HINT * explained)
     starts = starts_beside(exact, telling, at)
     enough = (1.0 - HALF_WAY * explained) * at.cost
-    for one in refined(exact, look, starts, at, enough) if starts else ():
+    for one in refined(exact, look, starts, at, enough):
         if one.error > NEAR_FLOOR:
             continue
         one = polished(exact, one)
         gain = 1.0 - one.error / best.error
-        alone = one.error < CLEAN and one.fit.cost < AS_WELL**2 * left
-        if alone and gain > BETTER and exact.better(one, best):
+        simpler = one.error < EXACT and one.fit.cost < AS_WELL**2 * left
+        if not simpler or at_bounds(exact, one) or _own_number_does(search, best, one):
+            continue
+        if gain > BETTER and exact.better(one, best):
             exact.best = one
             row = {"effects": one.effects, "error": one.error, "gain": gain}
             exact.trail.append({**row, "taken": True})
@@ -83,19 +94,24 @@ def with_exact_model(search: Search) -> Search:
     return search
 
 
-def _spread_beside(search: Search, effects: tuple[AppliedEffect, ...]) -> Weighting:
-    """Return `Search.counted_once` with what the spread does beside effects.
+def _own_number_does(search: Search, before: Scored, found: Scored) -> bool:
+    """Return whether a number that may be off by as much does what an effect does.
 
-    Friction is told in units of the servo's stiffness: a stiffness that is a little off
-    changes what a joint with friction does, and nothing where there is none.
+    Args:
+        search: The search with its spread.
+        before: Without the effect.
+        found: With it, as the last.
     """
-    _, moved = moved_by_spread(search.problem, effects, search.train)
-    if not np.isfinite(moved).all():
-        return search.counted_once
-    near = np.isin(search.problem.layout.recording, search.train)
-    scale = search.problem.noise[search.problem.layout.channel][near]
-    outliers = search.outliers and search.outliers.part(near)
-    return Weighting.of(scale, moved, search.prior, -1, outliers)
+    effect = found.effects[-1]
+    own = f"{_OWN.get(effect.name)}:{effect.target}"
+    if own not in search.problem.spread_names:
+        return False
+    number, layout = search.problem.spread_names.index(own), search.problem.layout
+    near = np.isin(layout.recording, search.train)
+    row = search.moved[number, near] / search.problem.noise[layout.channel][near]
+    rest, most = before.fit.residual, search.prior[number]
+    rest = rest + np.clip(-(row @ rest) / max(row @ row, 1e-300), -most, most) * row
+    return float(rest @ rest) - len(rest) * found.fit.cost < SURE
 
 
 def _exact(search: Search) -> Search:

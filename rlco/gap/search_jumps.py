@@ -70,21 +70,23 @@ def better_start(
     if jumps(look, candidate) or len(known) > 2 or not known[0].scales:
         return []
     first, values = known[0], np.array(last.values)
-    usual = np.copysign(usual_size(first), values[0] - first.neutral)
+    below = values[0] < first.neutral
+    room = first.neutral - first.low if below else first.high - first.neutral
+    size = min(usual_size(first), room) * (-1.0 if below else 1.0)
     others = [_between(min(p.starts), max(p.starts)) for p in known[1:]]
-    grid = product(first.neutral + usual * np.array(_PARTS), *others)
     low, high = np.array([(p.low, p.high) for p in known]).T
-    lists = [
-        rest + with_values(look.library, [candidate], np.clip(row, low, high))
-        for row in [values, *map(np.array, grid)]
-    ]
+    grid = np.array(list(product(first.neutral + size * np.array(_PARTS), *others)))
+    rows = [values, *np.unique(np.clip(grid, low, high), axis=0)]
+    lists = [rest + with_values(look.library, [candidate], row) for row in rows]
     costs = np.mean(look.weigh(lists) ** 2, axis=1)
     best = int(costs.argmin())
     return [lists[best]] if costs[best] < _CLEARLY * costs[0] else []
 
 
 def _between(low: float, high: float) -> Array:
-    """Return three numbers from one to another."""
+    """Return three numbers from one to another, or the one."""
+    if low == high:
+        return np.array([low])
     return np.asarray((np.geomspace if low > 0.0 else np.linspace)(low, high, 3))
 
 

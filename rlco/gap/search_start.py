@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from dataclasses import replace
 
 import numpy as np
 
@@ -64,6 +65,7 @@ def start_search(
         outliers,
         weights[1],
         train,
+        _squares(moved, prior, scale),
     )
     nothing = linearise(search.library, (), search.weigh)
     if not search.score([nothing]):
@@ -183,23 +185,48 @@ def with_spread_at(search: Search, best: Scored) -> Scored:
     scale = search.problem.noise[layout.channel]
     looked = np.isin(layout.recording, search.looked_at)
     _, moved = moved_by_spread(search.problem, best.effects, search.looked_at)
-    before, after = (
-        float(np.sum((rows * prior[:, None] / scale[looked]) ** 2))
-        for rows in (search.moved[:, looked], moved)
-    )
-    grew = after / before if before > 0.0 else 1.0
-    search.sensitivity = max(search.sensitivity, grew)
-    if not GREW < grew < np.inf:
+    after = float(_squares(moved, prior, scale[looked]).sum())
+    calm = float(search.calm[looked].sum())
+    search.sensitivity = after / calm if calm > 0.0 else 1.0
+    before = float(_squares(search.moved[:, looked], prior, scale[looked]).sum())
+    if not GREW * before < after < np.inf:
         return best
     _, moved = moved_by_spread(search.problem, best.effects)
     if not np.isfinite(moved).all():
         return best
-    search.moved = moved
     parts = search.problem, search.train, search.heldout
-    search.weighting, search.together, search.counted_once = weightings(
-        *parts, moved, prior, search.outliers
+    weighting, together, once = weightings(*parts, moved, prior, search.outliers)
+    # An interruption finds the search as it was, or as it will be.
+    fresh = replace(
+        search, weighting=weighting, together=together, counted_once=once, scores={}
     )
-    search.scores.clear()
-    search.probes.clear()
-    search.score([linearise(search.library, (), search.weigh)])
-    return next(iter(search.fit([best.effects])), best)
+    fresh.score([linearise(fresh.library, (), fresh.weigh)])
+    again = next(iter(fresh.fit([best.effects])), None)
+    if again is None:
+        return best
+    search.best, search.scores, search.probes = again, fresh.scores, []
+    search.moved, search.counted_once = moved, once
+    search.weighting, search.together = weighting, together
+    return again
+
+
+def spread_beside(search: Search, effects: tuple[AppliedEffect, ...]) -> Weighting:
+    """Return `Search.counted_once` with what the spread does beside effects.
+
+    Friction is told in units of the servo's stiffness: a stiffness that is a little off
+    changes what a joint with friction does, and nothing where there is none.
+    """
+    if not effects or not len(search.prior):
+        return search.counted_once
+    _, moved = moved_by_spread(search.problem, effects, search.train)
+    if not np.isfinite(moved).all():
+        return search.counted_once
+    near = np.isin(search.problem.layout.recording, search.train)
+    scale = search.problem.noise[search.problem.layout.channel][near]
+    outliers = search.outliers and search.outliers.part(near)
+    return Weighting.of(scale, moved, search.prior, -1, outliers)
+
+
+def _squares(moved: Array, prior: Array, scale: Array) -> Array:
+    """Return the square of what the spread does, in units of the noise, (N,)."""
+    return np.asarray(np.sum((moved * prior[:, None] / scale) ** 2, axis=0))

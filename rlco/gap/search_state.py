@@ -67,8 +67,10 @@ class Search:
         outliers: What a second may cost at most, in the layout's order.
         at_first: As `together` where no effect acts.
         looked_at: Training recordings of a first look.
-        sensitivity: By how much more, in squares, the robot shows the spread at most
-            with the effects of any step than without: large where motors hardly hold.
+        calm: Square of what the spread does where no effect acts, in units of the
+            noise, (N,).
+        sensitivity: By how much more, in squares, the robot shows the spread with the
+            effects of the last step than without: large where motors hardly hold.
         visible: Whether effects of typical sizes would show in these recordings.
         probes: The last first look at each candidate.
         trail: What was tried.
@@ -91,6 +93,7 @@ class Search:
     outliers: Outliers | None
     at_first: Weighting
     looked_at: tuple[int, ...]
+    calm: Array
     sensitivity: float = 1.0
     visible: bool = True
     probes: list[Probe] = field(default_factory=list)
@@ -113,15 +116,10 @@ class Search:
         hypotheses = [Hypothesis(effects) for effects in lists]
         return self.problem.residuals(hypotheses, recordings)
 
-    def heldout_error(self, effects: tuple[AppliedEffect, ...]) -> float:
+    def heldout_error(self, one: Scored) -> float:
         """Return the root mean square, in units of the noise, without any spread."""
-        layout = self.problem.layout
-        held = np.isin(layout.recording, self.heldout)
-        (rows,) = self.residuals([effects], self.heldout)
-        scaled = rows / self.problem.noise[layout.channel][held]
-        if self.outliers is not None:
-            scaled = self.outliers.part(held).bound(scaled)
-        return float(np.sqrt(np.mean(scaled**2)))
+        scaled = self.together.scaled_from(one.everything)
+        return float(np.sqrt(np.mean(scaled[len(one.fit.residual) :] ** 2)))
 
     def score(self, fits: Sequence[Fit]) -> list[Scored]:
         """Return the fits that hold on held-out recordings without diverging."""

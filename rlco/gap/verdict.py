@@ -21,6 +21,7 @@ from rlco.gap.search import (
     ranked,
     refined,
 )
+from rlco.gap.search_start import spread_beside
 from rlco.gap.search_state import Scored, Search
 from rlco.physics.effects import EFFECTS, AppliedEffect
 
@@ -70,14 +71,17 @@ def conclude(search: Search, seconds: float, complete: bool) -> Verdict:
 
 def _unexplained(search: Search, kind: str, found: Scored) -> Mapping[str, object]:
     """Say what is left in held-out recordings, and whether it may be the spread."""
-    after, likely = search.heldout_error(found.effects), found.error < NEAR_FLOOR
+    after, likely = search.heldout_error(found), found.error < NEAR_FLOOR
     spread = f"numbers that are about {np.max(search.prior, initial=0.0):.0%} off"
     if kind in QUIET and after > NEAR_FLOOR:
         note = f"nothing beyond what the noise and {spread} would leave"
         return {"share": 0.0, "target": None, "note": note}
     if kind in QUIET or (likely and after < NEAR_FLOOR):
-        return {"share": 0.0, "target": None, "note": "nothing beyond the noise"}
-    before = max(search.heldout_error(()) ** 2 - 1.0, 1e-9)
+        note = "nothing beyond the noise"
+        if found.effects and not len(search.prior):
+            note += ", where every other number of the model is taken to be right"
+        return {"share": 0.0, "target": None, "note": note}
+    before = max(search.heldout_error(search.scores[frozenset()]) ** 2 - 1.0, 1e-9)
     share = min(max(after**2 - 1.0, 0.0) / before, 1.0) if found.effects else 1.0
     told = dict(describe_left(search.problem, found.effects, share))
     if likely:
@@ -98,29 +102,28 @@ def _kind(
     best: Scored,
     rivals: list[tuple[tuple[Candidate, ...], dict[str, float]]],
 ) -> str:
-    if not best.effects:
-        # A gap of the fitted recordings alone weighs on the others by the spread.
-        shows = search.heldout_error(()) > NEAR_FLOOR
-        if none.error > NEAR_FLOOR and shows:
-            return "unexplained"
-        if not search.visible:
-            return "not_identifiable"
-        others = [one for one in search.scores.values() if one.effects]
-        trained = min((one.fit.cost for one in others), default=np.inf)
-        better = trained < (1.0 - BETTER) ** 2 * float(np.mean(none.fit.residual**2))
-        return "no_improvement" if better else "no_gap"
+    if best.effects and _holds(search, none, best):
+        return "ambiguous" if any(names for names, _ in rivals) else "named"
+    # A gap of the fitted recordings alone weighs on the others by the spread.
+    shows = bool(best.effects) or search.heldout_error(none) > NEAR_FLOOR
+    if none.error > NEAR_FLOOR and shows:
+        return "unexplained"
+    if best.effects:
+        return "no_gap"
+    if not search.visible:
+        return "not_identifiable"
+    others = [one for one in search.scores.values() if one.effects]
+    trained = min((one.fit.cost for one in others), default=np.inf)
+    better = trained < (1.0 - BETTER) ** 2 * float(np.mean(none.fit.residual**2))
+    return "no_improvement" if better else "no_gap"
+
+
+def _holds(search: Search, none: Scored, best: Scored) -> bool:
+    """Return whether effects explain most of the gap, and help without any spread."""
     if left_share(none, best) > 1.0 - ENOUGH and best.error > NEAR_FLOOR:
-        return "unexplained"
-    if at_bounds(search, best) or not _helps(search, best):
-        return "unexplained"
-    return "ambiguous" if any(names for names, _ in rivals) else "named"
-
-
-def _helps(search: Search, best: Scored) -> bool:
-    """Return whether the effects help without any spread of the other numbers."""
-    return search.heldout_error(best.effects) < (1.0 - BETTER) * search.heldout_error(
-        ()
-    )
+        return False
+    before, after = search.heldout_error(none), search.heldout_error(best)
+    return not at_bounds(search, best) and after < (1.0 - BETTER) * before
 
 
 def find_rivals(
@@ -274,7 +277,7 @@ def _widths(search: Search, best: Scored) -> Array:
     widths = np.array([parameter.resolution for parameter in known])
     smooth = widths == 0.0
     if smooth.any():
-        once = replace(search, weighting=search.counted_once)
+        once = replace(search, weighting=spread_beside(search, best.effects))
         here = linearise(search.library, best.effects, search.weigh)
         free = linearise(search.library, best.effects, once.weigh)
         rows = search.blocks[: len(here.residual)]
@@ -284,7 +287,9 @@ def _widths(search: Search, best: Scored) -> Array:
     if search.sensitivity > SENSITIVE:
         # Differences are no guide there: a limit is told in units of the arm's weight.
         values = np.concatenate([effect.values for effect in best.effects])
-        least = NORMAL * np.max(search.prior, initial=0.0) * np.abs(values)
+        # Half a factor is half a change; half a limit is half of what moves the arm.
+        away = [parameter.neutral if parameter.scales else 0.0 for parameter in known]
+        least = NORMAL * np.max(search.prior, initial=0.0) * np.abs(values - away)
         widths[smooth] = np.maximum(widths, least)[smooth]
     return widths
 

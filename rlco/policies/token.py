@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from torch.distributions import Distribution
 from torch.nn import functional
 
-from rlco.errors import ConfigError
+from rlco.errors import ConfigError, RlcoError
 from rlco.keys import LOG_PROB, SAMPLE
 from rlco.policies.action_tokens import ActionTokens
 from rlco.policies.causal_transformer import CausalTransformer
@@ -191,7 +191,11 @@ class TokenPolicy(ChunkPolicy):
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Write sample, log-probability, chunk and action into ``tensordict``."""
+        """Write sample, log-probability, chunk and action into ``tensordict``.
+
+        Raises:
+            RlcoError: probabilities are not finite.
+        """
         context = self.observe(self.encoder(tensordict))
         tokens, log_probs = self._draw(context.flatten(0, -2))
         shape = (*context.shape[:-1], self.chunk, self.action_size)
@@ -214,7 +218,14 @@ class TokenPolicy(ChunkPolicy):
                 last = log_softmax.argmax(-1)
             tokens.append(last)
             log_probs.append(log_softmax.gather(-1, last.unsqueeze(-1)).squeeze(-1))
-        return torch.stack(tokens, -1), torch.stack(log_probs, -1)
+        chosen = torch.stack(log_probs, -1)
+        if not chosen.isfinite().all():
+            raise RlcoError(
+                "the policy's token probabilities are not numbers any more: its "
+                "training diverged; go on from an earlier checkpoint with a lower "
+                "learning rate"
+            )
+        return torch.stack(tokens, -1), chosen
 
     def imitation_loss(self, tensordict: TensorDictBase) -> torch.Tensor:
         """Return each step's cross-entropy [B, H], the mean over its numbers [nats].

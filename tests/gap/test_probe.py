@@ -35,3 +35,12 @@ def test_a_fit_starts_where_the_effect_does_something(
     )
     (effect,) = start_of({_SPRING: _KNOWN}, one, np.array(residual))
     np.testing.assert_allclose(effect.values, [stiffness, 0.5])
+
+
+def test_a_small_help_of_a_negative_amount_stays_negative() -> None:
+    bias = Candidate("torque_bias", "elbow")
+    known = (Parameter("torque", "N m", -5.0, 5.0, 0.0, (2.0,)),)
+    first: NDArray[np.float64] = np.array([1.0, 0.0])
+    one = Probe(bias, np.array([2.0]), np.zeros(1), first[None], first, one_sided=False)
+    (effect,) = start_of({bias: known}, one, np.array([0.03, 1.0]))
+    np.testing.assert_allclose(effect.values, [-0.1])

@@ -12,7 +12,7 @@ from policy_cases import demonstrations, gradients_are_right, observations, tiny
 from scipy import stats
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from rlco.errors import ConfigError, DataError
+from rlco.errors import ConfigError, DataError, RlcoError
 from rlco.policies import Actor, TokenPolicy
 from rlco.policies.action_tokens import ActionTokens
 
@@ -128,6 +128,13 @@ def test_the_rollouts_log_probability_is_the_evaluations() -> None:
     td = policy(observations(50))
     found = policy.get_dist(td).log_prob(td[SAMPLE])
     torch.testing.assert_close(found, td[LOG_PROB], atol=2e-5, rtol=0)
+
+
+def test_a_policy_that_diverged_draws_nothing() -> None:
+    policy = tiny("token")
+    policy.network.head.data[1, 0] = math.nan
+    with pytest.raises(RlcoError, match="training diverged"):
+        policy(observations(3))
 
 
 def test_temperature_divides_the_logits() -> None:
