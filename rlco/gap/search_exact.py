@@ -31,13 +31,14 @@ AS_WELL = 1.0 + BETTER  # times what the spread leaves that one effect may leave
 FEWER = 3  # directions that the spread takes: one effect for fewer is no simpler
 TOLD = 0.1  # weight of a direction that recordings tell much better than the prior
 EXACT = 1.1  # error over the noise floor where nothing but noise is left
-SURE = 9.0  # chi-squared beyond which a difference is no chance: three deviations
-# What an effect adds to is itself a number that may be off.
+ALL = 0.99  # part of what an effect explains that is as good as all of it
+# Which number of the spread an effect changes, by the names of `rlco.gap.spread`.
 _OWN = {
     "viscous_damping": "damping",
     "armature": "armature",
     "coulomb_friction": "friction",
     "link_inertia": "inertia",
+    "payload": "mass",
     "actuator_gain": "gain",
     "torque_limit": "limit",
 }
@@ -95,7 +96,7 @@ def with_exact_model(search: Search) -> Search:
 
 
 def _own_number_does(search: Search, before: Scored, found: Scored) -> bool:
-    """Return whether a number that may be off by as much does what an effect does.
+    """Return whether the number that an effect changes does as well within the spread.
 
     Args:
         search: The search with its spread.
@@ -109,9 +110,10 @@ def _own_number_does(search: Search, before: Scored, found: Scored) -> bool:
     number, layout = search.problem.spread_names.index(own), search.problem.layout
     near = np.isin(layout.recording, search.train)
     row = search.moved[number, near] / search.problem.noise[layout.channel][near]
-    rest, most = before.fit.residual, search.prior[number]
-    rest = rest + np.clip(-(row @ rest) / max(row @ row, 1e-300), -most, most) * row
-    return float(rest @ rest) - len(rest) * found.fit.cost < SURE
+    residual, most = before.fit.residual, search.prior[number]
+    amount = np.clip(-(row @ residual) / max(row @ row, 1e-300), -most, most)
+    left = float(np.mean((residual + amount * row) ** 2))
+    return before.fit.cost - left > ALL * (before.fit.cost - found.fit.cost)
 
 
 def _exact(search: Search) -> Search:

@@ -218,13 +218,16 @@ def spread_beside(search: Search, effects: tuple[AppliedEffect, ...]) -> Weighti
     """
     if not effects or not len(search.prior):
         return search.counted_once
+    if search.beside is not None and search.beside[0] is effects:
+        return search.beside[1]
     _, moved = moved_by_spread(search.problem, effects, search.train)
     if not np.isfinite(moved).all():
         return search.counted_once
     near = np.isin(search.problem.layout.recording, search.train)
     scale = search.problem.noise[search.problem.layout.channel][near]
     outliers = search.outliers and search.outliers.part(near)
-    return Weighting.of(scale, moved, search.prior, -1, outliers)
+    search.beside = effects, Weighting.of(scale, moved, search.prior, -1, outliers)
+    return search.beside[1]
 
 
 def _squares(moved: Array, prior: Array, scale: Array) -> Array:

@@ -71,6 +71,7 @@ class Search:
             noise, (N,).
         sensitivity: By how much more, in squares, the robot shows the spread with the
             effects of the last step than without: large where motors hardly hold.
+        beside: Effects, and `counted_once` with what the spread does beside them.
         visible: Whether effects of typical sizes would show in these recordings.
         probes: The last first look at each candidate.
         trail: What was tried.
@@ -95,6 +96,7 @@ class Search:
     looked_at: tuple[int, ...]
     calm: Array
     sensitivity: float = 1.0
+    beside: tuple[tuple[AppliedEffect, ...], Weighting] | None = None
     visible: bool = True
     probes: list[Probe] = field(default_factory=list)
     trail: list[dict[str, object]] = field(default_factory=list)

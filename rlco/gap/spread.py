@@ -14,7 +14,18 @@ from rlco.physics.effects.targets import ONE_AXIS, actuated_joint
 
 
 def spread_names(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return ``kind:name`` for each number of a model that is not zero."""
+    """Return ``kind:name`` for each number of a model that is not zero.
+
+    The numbers of an actuator bear its joint's name, as its effects do.
+
+    Example:
+        >>> model = mujoco.MjModel.from_xml_string(
+        ...     "<mujoco><worldbody><body name='arm'><joint name='j' damping='1'/>"
+        ...     "<geom size='0.1'/></body></worldbody>"
+        ...     "<actuator><position name='servo' joint='j'/></actuator></mujoco>")
+        >>> spread_names(model)
+        ('mass:arm', 'inertia:arm', 'damping:j', 'gain:j')
+    """
     names = []
     for body in range(1, model.nbody):
         if model.body_mass[body] > 0 and model.body_weldid[body] != 0:
@@ -32,16 +43,15 @@ def spread_names(model: mujoco.MjModel) -> tuple[str, ...]:
             if field[dof] > 0:
                 names.append(f"{kind}:{name}")
     for actuator in range(model.nu):
-        joint_name = actuated_joint(model, actuator)
-        if joint_name is None:
+        driven = actuated_joint(model, actuator)
+        if driven is None:
             continue
-        name = model.actuator(actuator).name
-        names.append(f"gain:{name}")
+        names.append(f"gain:{driven}")
         if model.actuator_biasprm[actuator, 2] < 0:
-            names.append(f"feedback:{name}")
+            names.append(f"feedback:{driven}")
         if model.actuator_forcelimited[actuator]:
-            names.append(f"limit:{name}")
-    return tuple(names)
+            names.append(f"limit:{driven}")
+    return tuple(dict.fromkeys(names))
 
 
 def apply_spread(
@@ -73,14 +83,20 @@ def _scale(spec: mujoco.MjSpec, kind: str, name: str, factor: float) -> None:
         else:
             joint.frictionloss *= factor
     else:
-        actuator = spec.actuator(name)
-        if kind == "limit":
-            actuator.forcerange = np.array(actuator.forcerange) * factor
-            return
-        gain, bias = np.array(actuator.gainprm), np.array(actuator.biasprm)
-        if kind == "gain":
-            gain[0] *= factor
-            bias[1] *= factor
-        else:
-            bias[2] *= factor
-        actuator.gainprm, actuator.biasprm = gain, bias
+        for actuator in spec.actuators:
+            joint = actuator.trntype == mujoco.mjtTrn.mjTRN_JOINT
+            if joint and actuator.target == name:
+                _scale_actuator(actuator, kind, factor)
+
+
+def _scale_actuator(actuator: mujoco.MjsActuator, kind: str, factor: float) -> None:
+    if kind == "limit":
+        actuator.forcerange = np.array(actuator.forcerange) * factor
+        return
+    gain, bias = np.array(actuator.gainprm), np.array(actuator.biasprm)
+    if kind == "gain":
+        gain[0] *= factor
+        bias[1] *= factor
+    else:
+        bias[2] *= factor
+    actuator.gainprm, actuator.biasprm = gain, bias

@@ -104,12 +104,11 @@ def _kind(
 ) -> str:
     if best.effects and _holds(search, none, best):
         return "ambiguous" if any(names for names, _ in rivals) else "named"
-    # A gap of the fitted recordings alone weighs on the others by the spread.
-    shows = bool(best.effects) or search.heldout_error(none) > NEAR_FLOOR
-    if none.error > NEAR_FLOOR and shows:
-        return "unexplained"
     if best.effects:
-        return "no_gap"
+        return "unexplained" if none.error > NEAR_FLOOR else "no_gap"
+    # A gap of the fitted recordings alone weighs on the others by the spread.
+    if none.error > NEAR_FLOOR and search.heldout_error(none) > NEAR_FLOOR:
+        return "unexplained"
     if not search.visible:
         return "not_identifiable"
     others = [one for one in search.scores.values() if one.effects]
@@ -235,7 +234,7 @@ def _once_as_good(
     A first look, from afar, would rank some of them low.
     """
     own = Candidate(out.name, out.target)
-    for one in list(search.scores.values()):
+    for one in search.scores.values():
         for other, effect in zip(candidates_of(one.effects), one.effects, strict=True):
             beside = one.names - {other}
             before = search.scores.get(beside | {own})

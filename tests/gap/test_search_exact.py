@@ -14,11 +14,12 @@ from numpy.typing import NDArray
 from rlco.gap.arm_rollouts import ArmRollouts
 from rlco.gap.log import Log
 from rlco.gap.problem import Candidate
-from rlco.gap.search import search_effects
+from rlco.gap.search import at_bounds, search_effects
 from rlco.gap.search_exact import with_exact_model
 from rlco.gap.search_start import start_search, with_spread_at
 from rlco.gap.search_state import Search
 from rlco.gap.verdict import conclude
+from rlco.physics.effects import AppliedEffect
 
 _COLUMNS = ("position", "velocity", "command")
 _ELBOW = '<position name="elbow" joint="elbow" kp="20" kv="1"/>'
@@ -69,11 +70,18 @@ def test_it_is_not_where_other_numbers_are_off_too() -> None:
     assert with_exact_model(search) is search
 
 
-def test_a_number_that_is_off_by_less_than_the_spread_is_no_news() -> None:
-    def damped(model: mujoco.MjModel) -> None:
-        model.dof_damping[0] *= 1.02
+def _soft(model: mujoco.MjModel) -> None:
+    model.actuator_gainprm[0, 0] *= 0.985
+    model.actuator_biasprm[0, 1] *= 0.985
 
-    search = _searched(damped, noise=1e-4)  # which shows it well
+
+def _little_damped(model: mujoco.MjModel) -> None:
+    model.dof_damping[0] *= 1.02
+
+
+@pytest.mark.parametrize("hide", [_little_damped, _soft])
+def test_a_number_that_is_off_by_less_than_the_spread_is_no_news(hide: Hide) -> None:
+    search = _searched(hide, noise=1e-4)  # which shows it well
     assert with_exact_model(search) is search
 
 
@@ -106,7 +114,11 @@ def test_what_runs_to_its_bounds_leaves_no_gap_where_the_spread_would_do() -> No
     (parameter,) = search.library[known]
     tight = replace(parameter, high=0.008)  # a little less than is missing
     search.library = {**search.library, known: (tight,)}
-    assert conclude(with_exact_model(search), 0.0, complete=True).verdict == "no_gap"
+    assert with_exact_model(search) is search
+    ran = AppliedEffect(known.name, known.target, {"damping": tight.high})
+    (search.best,) = search.fit([[ran]])
+    assert at_bounds(search, search.best)
+    assert conclude(search, 0.0, complete=True).verdict == "no_gap"
 
 
 def test_an_interruption_while_the_spread_is_looked_at_again_loses_nothing(
