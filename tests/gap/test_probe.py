@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from rlco.gap.probe import Probe, start_of
+from rlco.gap.probe import Probe, explained, start_of
 from rlco.gap.problem import Candidate
 from rlco.physics.effects.effect import Parameter
 
@@ -44,3 +44,14 @@ def test_a_small_help_of_a_negative_amount_stays_negative() -> None:
     one = Probe(bias, np.array([2.0]), np.zeros(1), first[None], first, one_sided=False)
     (effect,) = start_of({bias: known}, one, np.array([0.03, 1.0]))
     np.testing.assert_allclose(effect.values, [-0.1])
+
+
+@pytest.mark.parametrize(("residual", "less"), [([-4.0, 2.0], 8.0), ([4.0, 2.0], 0.0)])
+def test_what_only_a_negative_friction_would_explain_is_not_explained(
+    residual: list[float], less: float
+) -> None:
+    first: NDArray[np.float64] = np.array([1.0, 0.0])
+    friction = Candidate("coulomb_friction", "elbow")
+    one = Probe(friction, np.ones(1), np.zeros(1), first[None], first, one_sided=True)
+    # Of the mean square of the residual, 10, what goes with the friction is 8.
+    assert explained(one, np.array(residual), np.zeros((0, 2))) == pytest.approx(less)

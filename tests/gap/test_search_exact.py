@@ -12,6 +12,7 @@ from hidden_arms import FPS, TURNTABLES, TWO_LINKS, Hide, record
 from numpy.typing import NDArray
 
 from rlco.gap.arm_rollouts import ArmRollouts
+from rlco.gap.fit import linearise
 from rlco.gap.log import Log
 from rlco.gap.problem import Candidate
 from rlco.gap.search import at_bounds, search_effects
@@ -135,6 +136,19 @@ def test_an_interruption_while_the_spread_is_looked_at_again_loses_nothing(
     with pytest.raises(KeyboardInterrupt):
         with_spread_at(search, search.best)
     assert not conclude(search, 0.0, complete=False).complete
+
+
+def test_what_was_tried_is_forgotten_where_the_spread_weighs_otherwise(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    search = _searched(_damped)
+    monkeypatch.setattr("rlco.gap.search_start.GREW", 0.0)
+    much = AppliedEffect("viscous_damping", "shoulder", {"damping": 3.0})
+    (found,) = search.fit([[much]])
+    before = search.score([linearise(search.library, (), search.weigh)])[0].error
+    again = with_spread_at(search, found)
+    assert search.scores.keys() == {frozenset(), again.names}
+    assert search.scores[frozenset()].error != pytest.approx(before, rel=1e-5)
 
 
 @pytest.mark.parametrize(

@@ -12,11 +12,13 @@ from numpy.typing import NDArray
 
 from rlco.gap.arm_rollouts import ArmRollouts
 from rlco.gap.find_gap import find_gap
-from rlco.gap.log import Log
-from rlco.gap.problem import Verdict
+from rlco.gap.intervals import NORMAL
+from rlco.gap.log import Log, Recording
+from rlco.gap.problem import Candidate, Verdict
 from rlco.gap.search import search_effects
 from rlco.gap.search_start import start_search
 from rlco.gap.verdict import conclude
+from rlco.physics.effects import AppliedEffect
 
 _NOISE = np.full(2, 4e-4)
 _WEIGHTLESS = TWO_LINKS.replace("<option ", '<option gravity="0 0 0" ')
@@ -54,6 +56,21 @@ def _only_in(training: Hide) -> Log:
         for index in range(len(plain.recordings))
     ]
     return Log(tuple(rows), plain.joints, plain.actuators)
+
+
+def _told_earlier(recording: Recording, frames: int) -> Recording:
+    """A recording whose commands were sent so many frames before they had effect."""
+    kept = slice(None, recording.rows - frames)
+    assert recording.position is not None
+    assert recording.velocity is not None
+    assert recording.command is not None
+    return replace(
+        recording,
+        time=recording.time[kept],
+        position=recording.position[kept],
+        velocity=recording.velocity[kept],
+        command=recording.command[frames:],
+    )
 
 
 def test_a_slow_motion_leaves_a_class_that_holds_what_was_hidden() -> None:
@@ -109,6 +126,37 @@ def test_a_rival_that_stays_within_its_bounds_is_named_instead() -> None:
     (finding,) = verdict.effects
     assert finding.name != known.name
     assert known in finding.rivals
+
+
+def test_what_ran_to_its_bounds_leaves_a_clear_gap_unexplained() -> None:
+    log = record(_viscous, xml=TURNTABLES)
+    search = start_search(
+        ArmRollouts(mujoco.MjSpec.from_string(TURNTABLES), log, _NOISE)
+    )
+    known = Candidate("viscous_damping", "elbow")
+    (parameter,) = search.library[known]
+    tight = replace(parameter, high=0.2)  # 0.3 is hidden
+    search.library = {**search.library, known: (tight,)}
+    ran = AppliedEffect(known.name, known.target, {"damping": tight.high})
+    (search.best,) = search.fit([[ran]])
+    assert conclude(search, 0.0, complete=False).verdict == "unexplained"
+
+
+def test_intervals_are_as_wide_as_the_spread_where_an_arm_hardly_holds() -> None:
+    log = record(xml=TURNTABLES)
+    late = tuple(_told_earlier(one, frames=2) for one in log.recordings)
+    spec = mujoco.MjSpec.from_string(TURNTABLES)
+    search = start_search(ArmRollouts(spec, replace(log, recordings=late), _NOISE))
+    search_effects(search)
+
+    def half_width() -> float:
+        (finding,) = conclude(search, 0.0, complete=False).effects
+        value = finding.parameters["delay"]
+        return (value.high - value.low) / 2
+
+    assert half_width() < 5e-4
+    search.sensitivity = 4.0  # as of a motor that is too weak for its arm
+    assert half_width() == pytest.approx(NORMAL * 0.03 * 2 / FPS, rel=0.05)
 
 
 def test_the_share_that_stays_is_of_the_held_out_mean_square_above_the_noise() -> None:

@@ -15,6 +15,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from rlco.errors import ConfigError, DataError, RlcoError
 from rlco.policies import Actor, TokenPolicy
 from rlco.policies.action_tokens import ActionTokens
+from rlco.policies.token import _drawn
 
 SAMPLE = ("vla_action", "sample")
 LOG_PROB = ("vla_action", "log_probs")
@@ -97,6 +98,21 @@ def test_ten_thousand_samples_come_as_often_as_evaluation_says(
     expected = 10_000 * probability.double() / probability.double().sum()
     assert expected.min() > 5  # for the chi-squared test to hold
     assert stats.chisquare(counts.numpy(), expected.detach().numpy()).pvalue > 1e-3
+
+
+def test_each_of_256_tokens_is_drawn_as_often_as_its_probability_says() -> None:
+    chances = torch.linspace(0.0, 3.0, 256).softmax(-1)
+    counts = torch.bincount(_drawn(chances.expand(200_000, -1)), minlength=256)
+    expected = 200_000 * chances.double() / chances.double().sum()
+    assert expected.min() > 5  # for the chi-squared test to hold
+    assert stats.chisquare(counts.numpy(), expected.numpy()).pvalue > 1e-3
+
+
+def test_a_token_of_no_probability_is_never_drawn(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(torch, "rand_like", torch.zeros_like)  # the smallest there is
+    assert _drawn(torch.tensor([[0.0, 1.0, 0.0]])).tolist() == [1]
 
 
 def test_logits_are_a_bell_around_a_mean_and_free_ones() -> None:
