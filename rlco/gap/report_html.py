@@ -28,6 +28,7 @@ from rlco.gap.words import (
     certainty,
     headline,
     in_words,
+    is_loud,
     numbers_of,
     place,
     title,
@@ -212,9 +213,12 @@ def _where(source: Page) -> str:
 def _unexplained(source: Page, last: Where | None) -> str:
     left = source.verdict.unexplained
     share, target, note = (left.get(key) for key in ("share", "target", "note"))
-    if not isinstance(share, int | float) or share < 0.01:
+    if not isinstance(share, int | float):
         return ""
-    words = f"{100 * share:.0f} % of the held-out gap stays"
+    if share < 0.01 and not is_loud(source.verdict):
+        return ""
+    part = f"{100 * share:.0f} %" if share >= 0.01 else "Less than 1 %"
+    words = f"{part} of the held-out gap stays"
     words += f", most of it at {target}." if target else "."
     found = last or source.before
     rows = [f"{place(cell)}: {100 * cell.share:.0f} %" for cell in found.telling[:3]]

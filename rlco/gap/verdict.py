@@ -29,6 +29,8 @@ QUIET = ("no_gap", "no_improvement", "not_identifiable")
 ENOUGH = 0.5  # share of the gap that effects must explain to be named
 HOPELESS = 10.0  # times the best cost, after two steps
 SENSITIVE = 3.0  # times, in squares, that effects may enlarge what the spread does
+LOUD = 3.0  # times the noise floor, that no spread explains either
+DOUBT = "something more is missing, or something else than what is named"
 RIVALS = 5  # others that are tried in the place of each named effect
 
 
@@ -86,6 +88,8 @@ def _unexplained(search: Search, kind: str, found: Scored) -> Mapping[str, objec
     told = dict(describe_left(search.problem, found.effects, share))
     if likely:
         told["note"] = f"{told['note']}; {spread} would leave as much"
+    elif found.effects and after > LOUD:
+        told["note"] = f"{told['note']}; {DOUBT}"
     return told
 
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from rlco.gap.problem import Candidate, Finding, Verdict
+from rlco.gap.verdict import LOUD
 from rlco.gap.where import EVERYWHERE, Cell, Where
 from rlco.physics.effects import AppliedEffect
 
@@ -178,6 +179,15 @@ def _missing(finding: Finding) -> str:
     return f"{title(finding)} (or {rivals})"
 
 
+def is_loud(verdict: Verdict) -> bool:
+    """Return whether what named effects leave is clearly more than the noise.
+
+    Of a gap hundreds of times the noise a wrong effect may leave less than a hundredth.
+    """
+    gap = verdict.gap
+    return bool(verdict.effects) and gap.after_heldout > LOUD * gap.noise_floor
+
+
 def certainty(verdict: Verdict) -> list[str]:
     """Say what the effects explain, and how far behind their rivals are."""
     gap, lines = verdict.gap, []
@@ -206,9 +216,11 @@ def certainty(verdict: Verdict) -> list[str]:
                 f"{title_of(name)}, leaves {100 * by:.0f} % more in recordings that "
                 "were not fitted."
             )
-    share = verdict.unexplained.get("share")
-    if verdict.effects and isinstance(share, int | float) and share >= 0.05:
-        note = verdict.unexplained.get("note")
+    share, note = (verdict.unexplained.get(key) for key in ("share", "note"))
+    if is_loud(verdict):
+        after = amount(gap.after_heldout, gap.unit)
+        lines.append(f"{after} stay unexplained, more than noise: {note}.")
+    elif verdict.effects and isinstance(share, int | float) and share >= 0.05:
         lines.append(f"{100 * share:.0f} % of the gap stays unexplained: {note}.")
     if not verdict.complete:
         lines.append("The search was stopped early: this is the best so far.")

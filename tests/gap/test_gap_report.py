@@ -175,6 +175,21 @@ def test_the_page_escapes_what_came_from_files(problem: Arm) -> None:
     assert Read(text).open == []
 
 
+@pytest.mark.parametrize(("floors", "warns"), [(32.0, True), (1.1, False)])
+def test_a_small_share_of_a_large_gap_is_told_where_it_is_no_noise(
+    problem: Arm, floors: float, warns: bool
+) -> None:
+    verdict = named(problem)
+    verdict = replace(
+        verdict,
+        gap=replace(verdict.gap, after_heldout=floors * verdict.gap.noise_floor),
+        unexplained={**verdict.unexplained, "share": 0.004},
+    )
+    text = Read(html(problem, verdict)).text
+    assert ("12.8 mrad stay unexplained, more than noise" in text) == warns
+    assert ("Less than 1 % of the held-out gap stays" in text) == warns
+
+
 def test_an_interrupted_search_says_so(problem: Arm) -> None:
     verdict = replace(named(problem), complete=False)
     assert "as far as the search came" in headline(verdict, where(problem))

@@ -176,6 +176,23 @@ def test_the_share_that_stays_is_of_the_held_out_mean_square_above_the_noise() -
     )
 
 
+def test_names_that_leave_much_more_than_noise_are_doubted() -> None:
+    """As where the very effect is none that the search knows."""
+
+    def hide(model: mujoco.MjModel) -> None:
+        model.dof_frictionloss[1] = 0.3
+
+    spec = mujoco.MjSpec.from_string(TWO_LINKS)
+    search = start_search(ArmRollouts(spec, record(hide), _NOISE))
+    missing = ("coulomb_friction", "stribeck_friction")
+    search.library = {c: p for c, p in search.library.items() if c.name not in missing}
+    search_effects(search)
+    verdict = conclude(search, 0.0, complete=False)
+    assert verdict.effects
+    assert verdict.gap.after_heldout > 3 * verdict.gap.noise_floor
+    assert "something else than what is named" in str(verdict.unexplained["note"])
+
+
 def test_a_robot_at_rest_shows_nothing_and_is_said_to_show_nothing() -> None:
     verdict = _verdict(record(_viscous, motion=_at_rest, xml=_WEIGHTLESS), _WEIGHTLESS)
     assert verdict.verdict == "not_identifiable"
