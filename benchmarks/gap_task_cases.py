@@ -10,7 +10,7 @@ to ``gap_naming.py`` as ``extra``.
 The scripted expert plays in closed loop, as a person would, on a plant whose compiled
 arrays were changed: nothing of the effects that are searched for is used.
 
-Seeds below 1000 are for development; the benchmark's begin at 5000.
+Seeds below 1000 are for development; those of benchmarks are larger.
 """
 
 from __future__ import annotations
