@@ -10,6 +10,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.optimize import lsq_linear
 
 from rlco.gap.fit import Fit, candidates_of, linearise
 from rlco.gap.probe import Probe, orthonormal
@@ -32,15 +33,15 @@ FEWER = 3  # directions that the spread takes: one effect for fewer is no simple
 TOLD = 0.1  # weight of a direction that recordings tell much better than the prior
 EXACT = 1.1  # error over the noise floor where nothing but noise is left
 ALL = 0.99  # part of what an effect explains that is as good as all of it
-# Which number of the spread an effect changes, by the names of `rlco.gap.spread`.
+# Which numbers of the spread an effect changes, by the names of `rlco.gap.spread`.
 _OWN = {
-    "viscous_damping": "damping",
-    "armature": "armature",
-    "coulomb_friction": "friction",
-    "link_inertia": "inertia",
-    "payload": "mass",
-    "actuator_gain": "gain",
-    "torque_limit": "limit",
+    "viscous_damping": ("damping",),
+    "armature": ("armature",),
+    "coulomb_friction": ("friction",),
+    "link_inertia": ("mass", "inertia"),
+    "payload": ("mass", "inertia"),
+    "actuator_gain": ("gain",),
+    "torque_limit": ("limit",),
 }
 HINT = 0.3  # part of what the spread explains that a first look must explain
 HALF_WAY = 0.6  # part of it that two steps must explain
@@ -96,23 +97,24 @@ def with_exact_model(search: Search) -> Search:
 
 
 def _own_number_does(search: Search, before: Scored, found: Scored) -> bool:
-    """Return whether the number that an effect changes does as well within the spread.
+    """Return whether the numbers that an effect changes do as well within the spread.
 
     Args:
         search: The search with its spread.
         before: Without the effect.
         found: With it, as the last.
     """
-    effect = found.effects[-1]
-    own = f"{_OWN.get(effect.name)}:{effect.target}"
-    if own not in search.problem.spread_names:
+    effect, names = found.effects[-1], search.problem.spread_names
+    own = [f"{kind}:{effect.target}" for kind in _OWN.get(effect.name, ())]
+    numbers = [names.index(name) for name in own if name in names]
+    if not numbers:
         return False
-    number, layout = search.problem.spread_names.index(own), search.problem.layout
+    layout = search.problem.layout
     near = np.isin(layout.recording, search.train)
-    row = search.moved[number, near] / search.problem.noise[layout.channel][near]
-    residual, most = before.fit.residual, search.prior[number]
-    amount = np.clip(-(row @ residual) / max(row @ row, 1e-300), -most, most)
-    left = float(np.mean((residual + amount * row) ** 2))
+    rows = search.moved[numbers][:, near] / search.problem.noise[layout.channel][near]
+    residual, most = before.fit.residual, search.prior[numbers]
+    amounts = lsq_linear(rows.T, -residual, (-most, most)).x
+    left = float(np.mean((residual + amounts @ rows) ** 2))
     return before.fit.cost - left > ALL * (before.fit.cost - found.fit.cost)
 
 

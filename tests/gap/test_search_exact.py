@@ -80,7 +80,11 @@ def _little_damped(model: mujoco.MjModel) -> None:
     model.dof_damping[0] *= 1.02
 
 
-@pytest.mark.parametrize("hide", [_little_damped, _soft])
+def _little_heavier(model: mujoco.MjModel) -> None:
+    model.body_mass[2] *= 1.025
+
+
+@pytest.mark.parametrize("hide", [_little_damped, _soft, _little_heavier])
 def test_a_number_that_is_off_by_less_than_the_spread_is_no_news(hide: Hide) -> None:
     search = _searched(hide, noise=1e-4)  # which shows it well
     assert with_exact_model(search) is search
