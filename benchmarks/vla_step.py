@@ -35,7 +35,7 @@ from vla_models import (
 )
 
 from rlco.config import option
-from rlco.losses import CoTrainingLoss, ImitationLoss, log_probs
+from rlco.losses import CoTrainingLoss, ImitationLoss, MasterWeightAdamW, log_probs
 from rlco.policies.prefix_cache import with_prefixes
 from rlco.policies.prefix_critic import PrefixCritic
 from rlco.run import run_recipe
@@ -99,7 +99,8 @@ def prepare(config: Config, policy: Actor) -> Callable[[], None]:
     ppo = ClipPPOLoss(policy, critic, functional=False, entropy_bonus=False)
     loss = CoTrainingLoss(ppo, ImitationLoss(policy, functional=False))
     trained = [p for p in loss.parameters() if p.requires_grad]
-    optimizer = torch.optim.AdamW(trained, lr=1e-6, fused=policy.device.type != "cpu")
+    fused = policy.device.type != "cpu"
+    optimizer = MasterWeightAdamW(trained, lr=4e-6, fused=fused)
     batch = TensorDict({"sim": sim, "real": real})
 
     def step() -> None:

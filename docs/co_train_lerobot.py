@@ -9,7 +9,7 @@ from torchrl.objectives import ClipPPOLoss
 from rlco.collectors import RolloutCollector, check_signal
 from rlco.data import load_demos
 from rlco.envs import make_env
-from rlco.losses import CoTrainingLoss, ImitationLoss, log_probs
+from rlco.losses import CoTrainingLoss, ImitationLoss, MasterWeightAdamW, log_probs
 from rlco.physics.task import make_task
 from rlco.policies.lerobot_checkpoint import load_lerobot
 from rlco.policies.lerobot_export import save_lerobot
@@ -26,7 +26,7 @@ def imitate(source, sim, real, target, task="push_cube", alpha=0.5, updates=1000
     sides = {"sim": load(sim), "real": load(real)}
     losses = [ImitationLoss(policy, functional=False) for _ in sides]
     loss = CoTrainingLoss(*losses, sim_coeff=alpha, real_coeff=1 - alpha)
-    optimizer = policy.policy.config.get_optimizer_preset().build(loss.parameters())
+    optimizer = MasterWeightAdamW(loss.parameters(), lr=checkpoint.config.optimizer_lr)
     for _ in range(updates):
         rows = {root: side.sample(32) for root, side in sides.items()}
         out = loss(TensorDict(rows).to(policy.device))
@@ -49,7 +49,7 @@ def co_train(source, demos, target, task="push_cube", iterations=100, num_envs=6
     loss = CoTrainingLoss(ppo, ImitationLoss(policy, functional=False), real_coeff=0.2)
     slow = {"params": policy.policy.parameters(), "lr": 4e-6}
     fast = {"params": [*critic.parameters(), *policy.noise.parameters()]}
-    optimizer = torch.optim.AdamW([slow, fast], lr=2e-4)
+    optimizer = MasterWeightAdamW([slow, fast], lr=2e-4)
     summaries = partial(add_next_summaries, summary=policy.new_summary)
     collector = RolloutCollector(env, policy, critic, prepare=summaries)
     check_signal(collector.collect(0))  # no success at all: it says so and stops

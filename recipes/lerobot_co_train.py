@@ -114,8 +114,12 @@ class Config(RunOptions):
 
 def check(config: Config) -> None:
     """Check the options, before anything large is loaded."""
+    from rlco.lerobot_files import read_folder
+    from rlco.physics.camera import check_rendering
     from rlco.policies.flow_chain import FlowChain
     from rlco.policies.lerobot_checkpoint import lerobot_config
+    from rlco.policies.lerobot_flow import CHECKPOINTING
+    from rlco.policies.lerobot_inputs import camera_of
     from rlco.policies.lerobot_noise import check_range
 
     # Names are checked where they are parsed; of a chain only this number is left.
@@ -131,7 +135,10 @@ def check(config: Config) -> None:
             f"num_envs={config.num_envs} is no multiple of "
             f"group_size={config.group_size}, as advantage='mc' needs"
         )
-    predicted = lerobot_config(config.policy).chunk_size
+    checkpoint = lerobot_config(config.policy)
+    if getattr(checkpoint, "gradient_checkpointing", False):
+        problems.append(CHECKPOINTING)
+    predicted = checkpoint.chunk_size
     if config.executed is not None and config.executed > predicted:
         problems.append(
             f"executed={config.executed} must be 1 to {predicted}, the steps that the "
@@ -139,11 +146,16 @@ def check(config: Config) -> None:
         )
     if problems:
         raise ConfigError(problems)
+    camera_of(checkpoint, config.camera)
+    for folder in (config.real_demos, config.stats):
+        if folder is not None:
+            read_folder(folder)
+    check_rendering()
 
 
 def load(config: Config) -> tuple[Any, Any, Any]:
     """Return the checkpoint, the policy around it, and real demonstrations if any."""
-    from rlco.physics.observation import ACTION_NAMES
+    from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
     from rlco.physics.task import make_task
     from rlco.policies.lerobot_checkpoint import load_lerobot
     from rlco.policies.lerobot_flow import check_trainable
@@ -156,6 +168,7 @@ def load(config: Config) -> tuple[Any, Any, Any]:
     checkpoint = load_lerobot(
         config.policy,
         action_size=len(ACTION_NAMES),
+        state_size=len(STATE_NAMES),
         tokenizer=config.tokenizer,
         stats=statistics_of(config.stats),
         device=config.device,
@@ -178,8 +191,6 @@ def load(config: Config) -> tuple[Any, Any, Any]:
         keep_prefix=config.keep_prefix,
     )
     check_trainable(policy.model)
-    # What is trained to act is what LeRobot's commands will execute.
-    checkpoint.config.n_action_steps = policy.executed
     if config.trained == "lora":
         add_expert_lora(policy.model, rank=config.lora_rank)
     return checkpoint, policy, load_real(config, task, policy)
@@ -229,6 +240,8 @@ def train(config: Config, run: Run, checkpoint: Any, policy: Any, real: Any) -> 
         learner.load(saved)
 
     folder = run.path / "lerobot"
+    seen = policy.inputs.camera
+    renamed = {config.real_camera: seen} if config.real_camera else {}
 
     def save(iteration: int) -> None:
         parts = {"critic": learner.critic, "noise": policy.noise}
@@ -237,6 +250,7 @@ def train(config: Config, run: Run, checkpoint: Any, policy: Any, real: Any) -> 
             folder,
             step=iteration,
             data=config.real_demos,
+            rename=renamed,
             optimizer=learner.actor_optimizer,
             beside={k: dict(m.state_dict()) for k, m in parts.items() if m is not None},
         )

@@ -36,6 +36,7 @@ def load_real(config: Config, task: Any, policy: Any) -> Any:
         chunk=policy.chunk,
         instructions=task.instructions,
         action_dim=policy.action_size,
+        state_dim=policy.state_size,
         image_key=config.real_camera or policy.inputs.camera,
     )
     if demos.meta.fps != task.control_frequency:
@@ -57,7 +58,7 @@ def make_learner(config: Config, policy: Any, real: Any, rows: int) -> LargeLear
     from torchrl.objectives import ClipPPOLoss
 
     from rlco.data import SimRealReplayBuffer
-    from rlco.losses import CoTrainingLoss, ImitationLoss
+    from rlco.losses import CoTrainingLoss, ImitationLoss, MasterWeightAdamW
     from rlco.losses.large_learner import LargeLearner
     from rlco.policies.lerobot_export import load_beside
     from rlco.policies.prefix_critic import PrefixCritic
@@ -86,7 +87,6 @@ def make_learner(config: Config, policy: Any, real: Any, rows: int) -> LargeLear
     )
     anchor = ImitationLoss(policy, functional=False) if real is not None else None
     preset = policy.policy.config.get_optimizer_preset()
-    preset.lr = config.lr
     beside = [*policy.noise.parameters(), *(critic.parameters() if critic else ())]
     return LargeLearner(
         policy,
@@ -95,7 +95,14 @@ def make_learner(config: Config, policy: Any, real: Any, rows: int) -> LargeLear
         SimRealReplayBuffer(
             sim, real, sim_ratio=config.minibatch / batch_size, batch_size=batch_size
         ),
-        preset.build(policy.policy.parameters()),
+        # LeRobot's own, but for weights that are too coarse for steps of this size.
+        MasterWeightAdamW(
+            policy.policy.parameters(),
+            lr=config.lr,
+            betas=preset.betas,
+            eps=preset.eps,
+            weight_decay=preset.weight_decay,
+        ),
         torch.optim.Adam(beside, lr=config.critic_lr),
         minibatch=config.minibatch,
         max_grad_norm=config.max_grad_norm,

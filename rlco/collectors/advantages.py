@@ -33,7 +33,7 @@ def group_advantages(rollout: TensorDictBase, group_size: int) -> torch.Tensor:
     TorchRL's :class:`~torchrl.objectives.llm.MCAdvantage`: with the returns R of
     ``group_size`` neighbours, which started alike, ``(R_i - mean) / std``, and 0 where
     all are equal. An episode in which the simulation diverged teaches nothing: its
-    advantages are 0.
+    advantages are 0, and the others are compared without it.
 
     Args:
         rollout: whole episodes, batch size (N, T).
@@ -59,10 +59,18 @@ def group_advantages(rollout: TensorDictBase, group_size: int) -> torch.Tensor:
     episodes = TensorDict(
         {"group": group, "next": {keys.REWARD: reward, keys.DONE: done}}, [n, t]
     )
-    compare = MCAdvantage(group_size, prompt_key="group", trajectory_return="sum")
-    advantage: torch.Tensor = compare.inv(episodes)[keys.ADVANTAGE].view(n, t, 1)
-    broken = rollout["next", keys.DIVERGED].any(1, keepdim=True)
-    return advantage.masked_fill(broken, 0.0)
+    advantage = torch.zeros_like(reward)
+    sound = ~rollout["next", keys.DIVERGED].flatten(1).any(1)
+    for first in range(0, n, group_size):
+        members = torch.arange(first, first + group_size)
+        kept = members[sound[members]]
+        if len(kept) > 1:  # one alone has nothing to be compared with
+            compare = MCAdvantage(
+                len(kept), prompt_key="group", trajectory_return="sum"
+            )
+            found = compare.inv(episodes[kept])[keys.ADVANTAGE]
+            advantage[kept] = found.view(len(kept), t, 1)
+    return advantage
 
 
 def check_signal(rollout: TensorDictBase) -> None:

@@ -7,11 +7,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from draccus.utils import ParsingError
 from lerobot.configs import PreTrainedConfig
+from lerobot.configs.train import TRAIN_CONFIG_NAME, TrainPipelineConfig
 from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 from lerobot.policies.pi05.configuration_pi05 import PI05Config
 from lerobot.policies.pi05.modeling_pi05 import PI05Policy
 from lerobot.policies.smolvla.configuration_smolvla import SmolVLAConfig
+from lerobot.processor.pipeline import ProcessorMigrationError
 from lerobot.utils.import_utils import register_third_party_plugins
 from safetensors import SafetensorError
 from safetensors.torch import load_file
@@ -35,12 +38,14 @@ class LeRobotCheckpoint:
         model: LeRobot's policy, in the halves that rlco trains it by.
         preprocessor: LeRobot's pipeline from raw observations to the model's input.
         postprocessor: LeRobot's pipeline from the model's actions to raw ones.
+        training: LeRobot's configuration of the training behind it, where there is one.
     """
 
     folder: Path
     model: FlowModel
     preprocessor: Any
     postprocessor: Any
+    training: TrainPipelineConfig | None = None
 
     @property
     def config(self) -> Any:
@@ -52,6 +57,7 @@ def load_lerobot(
     folder: str | os.PathLike[str],
     *,
     action_size: int | None = None,
+    state_size: int | None = None,
     tokenizer: str | os.PathLike[str] | None = None,
     stats: Stats | None = None,
     device: str | None = None,
@@ -62,6 +68,7 @@ def load_lerobot(
         folder: LeRobot's ``pretrained_model``, with ``config.json``,
             ``model.safetensors`` and both processors.
         action_size: A, action numbers of the robot or the task, checked.
+        state_size: the same of its state, ``observation.state``.
         tokenizer: folder of the tokenizer, for machines without a network; of SmolVLA,
             the folder of its whole vision-language model's configuration.
         stats: statistics in place of the processors' own, see
@@ -69,15 +76,16 @@ def load_lerobot(
         device: where to; by default the checkpoint's own, or what there is.
 
     Raises:
-        CheckpointError: a file is missing or damaged; the policy is of another type or
-            action size; a weight is missing, unknown or of another shape; statistics
-            are missing; or there is no tokenizer.
+        CheckpointError: a file is missing or damaged; the policy is of another type,
+            action size or state size; a weight is missing, unknown or of another shape;
+            statistics are missing; or there is no tokenizer.
     """
     path = Path(folder).resolve()
     config = lerobot_config(path)
     if device is not None:
         config.device = device
-    _check_actions(path, config, action_size)
+    training = train_config(path)
+    _check_sizes(path, config, action_size, state_size)
     if tokenizer is not None and hasattr(config, "vlm_model_name"):
         config.vlm_model_name = str(Path(tokenizer).resolve())
     # The processors first: they are quick, and what is wrong shows in them.
@@ -85,12 +93,12 @@ def load_lerobot(
     check_statistics(path, config, processors[0])
     model: FlowModel
     if isinstance(config, SmolVLAConfig):
-        model = SmolVLAModel(build_smolvla(config))
+        model = SmolVLAModel(_build_smolvla(path, config))
     else:
         model = Pi05Model(get_policy_class(config.type)(config))
     _load_weights(model, path / WEIGHTS)
     model.policy.to(config.device).eval()
-    return LeRobotCheckpoint(path, model, *processors)
+    return LeRobotCheckpoint(path, model, *processors, training)
 
 
 def lerobot_config(folder: str | os.PathLike[str]) -> Any:
@@ -109,10 +117,11 @@ def lerobot_config(folder: str | os.PathLike[str]) -> Any:
     register_third_party_plugins()
     try:
         config = PreTrainedConfig.from_pretrained(folder)
-    except ValueError as error:
+    except (ValueError, ParsingError) as error:
         raise CheckpointError(
             f"{str(folder / 'config.json')!r} is no configuration that LeRobot can "
-            f"read ({error}); install the plugin that has its type."
+            f"read ({_first_line(error)}); write it anew with LeRobot 0.6, or install "
+            "the plugin that has its type."
         ) from error
     if not isinstance(config, PI05Config | SmolVLAConfig):
         raise CheckpointError(
@@ -124,7 +133,28 @@ def lerobot_config(folder: str | os.PathLike[str]) -> Any:
     return config
 
 
-def _check_actions(folder: Path, config: Any, action_size: int | None) -> None:
+def train_config(folder: Path) -> TrainPipelineConfig | None:
+    """Return LeRobot's configuration of the training behind a checkpoint, if any.
+
+    Raises:
+        CheckpointError: it is of another LeRobot.
+    """
+    file = folder / TRAIN_CONFIG_NAME
+    if not file.is_file():
+        return None
+    try:
+        return TrainPipelineConfig.from_pretrained(folder)
+    except (ValueError, ParsingError) as error:
+        raise CheckpointError(
+            f"{str(file)!r} is no configuration that LeRobot can read "
+            f"({_first_line(error)}); take the file away, and lerobot-train will go on "
+            "from what is trained here with its defaults."
+        ) from error
+
+
+def _check_sizes(
+    folder: Path, config: Any, action_size: int | None, state_size: int | None
+) -> None:
     feature = config.action_feature
     if feature is None:
         raise CheckpointError(
@@ -137,6 +167,24 @@ def _check_actions(folder: Path, config: Any, action_size: int | None) -> None:
             f"the checkpoint {str(folder)!r} has {size} action numbers, the robot or "
             f"the task {action_size}; give a checkpoint that was trained on it."
         )
+    state = config.robot_state_feature
+    found = 0 if state is None else state.shape[0]
+    if state_size is not None and found != state_size:
+        raise CheckpointError(
+            f"the checkpoint {str(folder)!r} reads {found} state numbers, the robot or "
+            f"the task gives {state_size}; give a checkpoint that was trained on it."
+        )
+
+
+def _build_smolvla(folder: Path, config: Any) -> Any:
+    try:
+        return build_smolvla(config)
+    except (OSError, ValueError) as error:
+        raise CheckpointError(
+            f"the vision-language model {config.vlm_model_name!r} of the checkpoint "
+            f"{str(folder)!r} cannot be built ({_first_line(error)}); where its "
+            "configuration is not on this machine, give its folder by tokenizer=FOLDER."
+        ) from error
 
 
 def _load_processors(
@@ -160,12 +208,13 @@ def _load_processors(
             preprocessor_overrides=before,
             postprocessor_overrides=after,
         )
-    except FileNotFoundError as error:
+    except (FileNotFoundError, ProcessorMigrationError, KeyError) as error:
         raise CheckpointError(
-            f"the checkpoint {str(folder)!r} lacks a processor ({error}); write it "
-            "anew with LeRobot 0.6, which keeps the statistics in the processors."
+            f"the checkpoint {str(folder)!r} lacks a processor ({_first_line(error)}); "
+            "write it anew with LeRobot 0.6, which keeps the statistics in the "
+            "processors."
         ) from error
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, ImportError) as error:
         raise CheckpointError(
             f"a processor of the checkpoint {str(folder)!r} cannot be built "
             f"({_first_line(error)}); where it is the tokenizer that is not on this "

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import os
+import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -16,7 +17,7 @@ from lerobot.optim.optimizers import AdamWConfig
 
 from rlco.errors import CheckpointError
 from rlco.policies.lerobot_checkpoint import LeRobotCheckpoint
-from rlco.policies.lora import has_lora, merged_state
+from rlco.policies.lora import has_lora, merged_state, without_lora
 from rlco.state_files import load_state, save_state
 
 #: Beside ``pretrained_model``: what LeRobot has no place for.
@@ -29,6 +30,7 @@ def save_lerobot(
     *,
     step: int,
     data: str | os.PathLike[str] | None = None,
+    rename: Mapping[str, str] | None = None,
     optimizer: torch.optim.Optimizer | None = None,
     beside: Mapping[str, Any] | None = None,
 ) -> Path:
@@ -37,7 +39,8 @@ def save_lerobot(
     LeRobot itself writes it: its configuration, whose type stays what it was, the
     weights with adapters merged in, the processors with the statistics that the policy
     was trained with, and the training's state. ``model.safetensors`` holds nothing
-    else.
+    else. A checkpoint that is there is whole: it is written beside its place, then
+    renamed.
 
     Args:
         checkpoint: what was loaded, trained since.
@@ -45,6 +48,9 @@ def save_lerobot(
         step: updates done.
         data: the data set that ``lerobot-train --resume`` goes on with, a local
             folder; None: the one of the checkpoint, if it names one.
+        rename: what the policy calls entries of ``data``, where it calls them
+            otherwise, for example ``{"observation.images.top":
+            "observation.images.front"}``.
         optimizer: AdamW over ``policy.parameters()``, for resuming; None: a fresh one.
         beside: what else resuming needs (critic, noise, adapters), by name; each goes
             into a file of its own in ``rlco_state``.
@@ -56,7 +62,7 @@ def save_lerobot(
         CheckpointError: the folder holds a checkpoint of this step already.
     """
     policy = checkpoint.model.policy
-    config = _train_config(checkpoint, Path(folder), step, data)
+    config = _train_config(checkpoint, Path(folder), step, data, rename)
     target = Path(folder) / "checkpoints" / f"{step:06d}"
     if target.exists():
         raise CheckpointError(
@@ -64,10 +70,12 @@ def save_lerobot(
         )
     # With adapters, what was optimised is not what is written.
     if optimizer is None or has_lora(policy):
-        optimizer = config.optimizer.build(policy.parameters())
+        optimizer = config.optimizer.build(without_lora(policy))
     state = merged_state(policy) if has_lora(policy) else None
+    partial = target.with_name(f"{target.name}.partial")
+    shutil.rmtree(partial, ignore_errors=True)
     save_checkpoint(
-        target,
+        partial,
         step,
         config,
         policy,
@@ -78,9 +86,10 @@ def save_lerobot(
         batch_size=config.batch_size,
         model_state_dict=state,
     )
-    (target / BESIDE).mkdir()
+    (partial / BESIDE).mkdir()
     for name, value in (beside or {}).items():
-        save_state(target / BESIDE / f"{name}.safetensors", value)
+        save_state(partial / BESIDE / f"{name}.safetensors", value)
+    partial.rename(target)
     update_last_checkpoint(target)
     return target / "pretrained_model"
 
@@ -96,12 +105,12 @@ def _train_config(
     folder: Path,
     step: int,
     data: str | os.PathLike[str] | None,
+    rename: Mapping[str, str] | None,
 ) -> TrainPipelineConfig:
     """Return the configuration that ``--resume`` reads."""
-    source = checkpoint.folder / "train_config.json"
     policy = copy.copy(checkpoint.config)
-    if source.is_file():
-        config = TrainPipelineConfig.from_pretrained(checkpoint.folder)
+    if checkpoint.training is not None:
+        config = copy.deepcopy(checkpoint.training)
         config.policy = policy
     else:
         config = TrainPipelineConfig(
@@ -110,12 +119,17 @@ def _train_config(
     if data is not None:
         root = Path(data).resolve()
         config.dataset = DatasetConfig(repo_id=f"local/{root.name}", root=str(root))
+        config.rename_map = dict(rename or {})
+        # What these name is of the other data set.
+        config.eval_steps, config.sample_weighting = 0, None
     config.output_dir = folder.resolve()
     config.steps = max(config.steps, step)
     if config.optimizer is None:
         preset = policy.get_optimizer_preset()
         config.optimizer = preset if isinstance(preset, AdamWConfig) else AdamWConfig()
-    # The schedule's own state would be of another training.
+    # The schedule's own state would be of another training. Without one LeRobot insists
+    # on its presets; of a resumed training it takes none.
     config.scheduler = None
+    config.use_policy_training_preset = True
     config.resume = False
     return config

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Iterator, Mapping
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 import torch
 from torch import nn
@@ -14,6 +14,13 @@ from rlco.policies.flow_chain import Velocity
 from rlco.policies.prefix_cache import Prefix
 
 Batch = Mapping[str, Any]
+
+CHECKPOINTING = (
+    "gradient checkpointing leaves out the keys and values that the action expert "
+    "attends to, so that log-probabilities would ignore images and text; set "
+    "gradient_checkpointing=false in the checkpoint's config.json (imitation alone: "
+    "lerobot-train)"
+)
 
 
 class FlowModel(Protocol):
@@ -26,6 +33,7 @@ class FlowModel(Protocol):
         hidden_size: width of the expert's last layer.
         summary_size: width W of a prefix's summary.
         steps: denoising steps of the checkpoint's own sampling.
+        steps_option: their name in LeRobot's configuration.
     """
 
     policy: Any
@@ -33,6 +41,7 @@ class FlowModel(Protocol):
     hidden_size: int
     summary_size: int
     steps: int
+    steps_option: ClassVar[str]
 
     def prefix(self, batch: Batch) -> Prefix:
         """Pass images and text, processed by LeRobot, through the language model."""
@@ -110,14 +119,7 @@ def check_trainable(model: FlowModel) -> None:
         ConfigError: gradient checkpointing is on.
     """
     if model.gradient_checkpointing():
-        raise ConfigError(
-            [
-                "gradient checkpointing leaves out the keys and values that the action "
-                "expert attends to, so that log-probabilities would ignore images and "
-                "text; set gradient_checkpointing=false in the checkpoint's "
-                "config.json (imitation alone: lerobot-train)"
-            ]
-        )
+        raise ConfigError([CHECKPOINTING])
 
 
 def refuse(folder: object, option: str, why: str) -> None:

@@ -62,7 +62,7 @@ class LeRobotInputs:
             raise ConfigError(["instructions=[] leaves the policy without a text"])
         self.preprocessor, self.postprocessor = preprocessor, postprocessor
         self.instructions = tuple(instructions)
-        self.camera = _camera(config, camera)
+        self.camera = camera_of(config, camera)
         _, height, width = config.image_features[self.camera].shape
         #: Height and width of the frames that the checkpoint was trained on [pixels].
         self.image_size: tuple[int, int] = (height, width)
@@ -176,7 +176,12 @@ def _stats(values: np.ndarray[Any, Any]) -> dict[str, torch.Tensor]:
     return {k: torch.as_tensor(v, dtype=torch.float32) for k, v in found.items()}
 
 
-def _camera(config: Any, camera: str | None) -> str:
+def camera_of(config: Any, camera: str | None) -> str:
+    """Return the camera of a checkpoint that is meant: this one, or its only one.
+
+    Raises:
+        ConfigError: it has no such camera, or several where none is named.
+    """
     known: Mapping[str, Any] = config.image_features
     names = [name for name in known if ".empty_camera_" not in name]
     if camera is None and len(names) == 1:

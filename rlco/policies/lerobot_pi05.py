@@ -29,6 +29,8 @@ class Pi05Model(FlowModel):
         CheckpointError: the checkpoint predicts relative actions.
     """
 
+    steps_option = "num_inference_steps"
+
     def __init__(self, policy: Any) -> None:
         config = policy.config
         if config.use_relative_actions:
@@ -42,7 +44,7 @@ class Pi05Model(FlowModel):
         self.hidden_size: int = self.model.action_out_proj.in_features
         language = self._language_model()
         self.summary_size: int = language.config.hidden_size
-        self.steps: int = config.num_inference_steps
+        self.steps: int = getattr(config, self.steps_option)
 
     def _language_model(self) -> Any:
         return self.model.paligemma_with_expert.paligemma.model.language_model

@@ -61,8 +61,12 @@ class LeRobotPolicy(TensorDictModuleBase):
     ``("vla_action", "log_probs")``, ``("vla_action", "chunk")`` and ``action``
     [B, executed, A], raw, and the prefix, whose ``summary`` critics read. Where
     TorchRL's exploration type asks for no sample, the steps add no noise; the chain
-    still starts from noise, as in LeRobot's own commands. No gradient flows through
+    still starts from noise, as in LeRobot's own commands, and of the prefix there is
+    the summary alone, as nothing is learned from that. No gradient flows through
     that; ``get_dist(td)``, for a batch that holds the sample, is differentiable.
+
+    ``executed`` and ``steps`` become those of the checkpoint's configuration: what
+    LeRobot's commands make of a saved checkpoint is what was trained.
 
     Args:
         checkpoint: what :func:`rlco.policies.lerobot_checkpoint.load_lerobot` returned.
@@ -117,6 +121,7 @@ class LeRobotPolicy(TensorDictModuleBase):
         self.chunk: int = config.chunk_size
         self.executed: int = config.n_action_steps if executed is None else executed
         self.action_size: int = config.action_feature.shape[0]
+        self.state_size: int = config.robot_state_feature.shape[0]
         self.width: int = config.max_action_dim
         steps = self.model.steps if steps is None else steps
         self.chain = FlowChain(
@@ -145,6 +150,8 @@ class LeRobotPolicy(TensorDictModuleBase):
         self.log_prob_level: LogProbLevel = log_prob_level
         self.padded_mean, self.action_limit = padded_mean, action_limit
         freeze(self.model, trained)
+        config.n_action_steps = self.executed
+        setattr(config, self.model.steps_option, steps)
         self.keep_prefix = keep_prefix and not self.trains_prefix
         self.in_keys: list[Any] = [STATE, IMAGE, INSTRUCTION_ID]
         self.dist_sample_keys: list[Any] = [SAMPLE]
@@ -231,8 +238,10 @@ class LeRobotPolicy(TensorDictModuleBase):
         tensordict.set(LOG_PROB, self._per_level(density[0]).to(home))
         if counted is not None:
             tensordict.set(DENOISE_STEP, counted.to(home))
-        told = prefix.to(home)
-        (told.write if self.keep_prefix else told.write_summary)(tensordict)
+        if self.keep_prefix and explores:
+            prefix.to(home).write(tensordict)
+        else:
+            prefix.write_summary(tensordict, home)
         raw = self.inputs.unnormalize(chain[:, -1, :, : self.action_size]).to(home)
         if self.action_limit is not None:
             raw = raw.clamp(-self.action_limit, self.action_limit)

@@ -29,6 +29,8 @@ class SmolVLAModel(FlowModel):
             cache.
     """
 
+    steps_option = "num_steps"
+
     def __init__(self, policy: Any) -> None:
         config = policy.config
         if config.adapt_to_pi_aloha:
@@ -47,7 +49,7 @@ class SmolVLAModel(FlowModel):
         self.model = policy.model
         self.hidden_size: int = self.model.action_out_proj.in_features
         self.summary_size: int = self.model.state_proj.out_features
-        self.steps: int = config.num_steps
+        self.steps: int = getattr(config, self.steps_option)
 
     def prefix(self, batch: Batch) -> Prefix:
         """Pass images, text and state through SmolVLM, as LeRobot's sampling does."""

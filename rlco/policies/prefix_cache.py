@@ -85,9 +85,10 @@ class Prefix:
         fields = {name: value.detach() for name, value in vars(self).items()}
         tensordict.set(PREFIX, TensorDict(fields, tensordict.batch_size))
 
-    def write_summary(self, tensordict: TensorDictBase) -> None:
-        """Put into a batch what critics read alone."""
-        tensordict.set(SUMMARY, self.summary.detach())
+    def write_summary(self, tensordict: TensorDictBase, device: torch.device) -> None:
+        """Put into a batch what critics read alone; it holds no other prefix then."""
+        told = {"summary": self.summary.detach().to(device)}
+        tensordict.set(PREFIX, TensorDict(told, tensordict.batch_size))
 
     @staticmethod
     def read(tensordict: TensorDictBase) -> Prefix | None:

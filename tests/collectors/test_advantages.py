@@ -39,12 +39,17 @@ def test_each_return_is_compared_within_its_group_by_hand() -> None:
     torch.testing.assert_close(found, expected.unsqueeze(-1).expand(6, 2))
 
 
-def test_an_episode_that_diverged_teaches_nothing() -> None:
-    diverged = torch.tensor([[0, 1], [0, 0]], dtype=torch.bool).unsqueeze(-1)
-    rollout = episodes([[1, 0], [0, 2]], **{keys.DIVERGED: diverged})
-    found = group_advantages(rollout, 2).squeeze(-1)
-    assert found[0].tolist() == [0, 0]
-    assert (found[1] > 0).all()
+def test_an_episode_that_diverged_teaches_nothing_and_is_nothing_to_beat() -> None:
+    diverged = torch.zeros(6, 2, 1, dtype=torch.bool)
+    diverged[1, 1] = diverged[3, 0] = diverged[5, 1] = True
+    rollout = episodes(
+        [[1, 0], [90, 9], [0, 2], [5, 5], [3, 4], [0, 0]], **{keys.DIVERGED: diverged}
+    )
+    found = group_advantages(rollout, 3).squeeze(-1)
+    # Returns 1 and 2 are left of the first group: mean 1.5, deviation sqrt 0.5. Of the
+    # second one episode is left, which compares with nothing.
+    expected = torch.tensor([-0.5, 0.0, 0.5, 0.0, 0.0, 0.0]) / 0.5**0.5
+    torch.testing.assert_close(found, expected.unsqueeze(-1).expand(6, 2))
 
 
 def test_a_group_starts_alike_and_every_iteration_elsewhere() -> None:

@@ -14,7 +14,7 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rlco.data.resize import resized
-from rlco.errors import DataError, OutputExistsError
+from rlco.errors import ConfigError, DataError, OutputExistsError
 from rlco.policies import make_policy, save_policy
 
 INSTRUCTIONS = ["push the red cube", "push the blue cube"]
@@ -100,6 +100,23 @@ def test_lerobot_trains_it_by_imitation(exported: tuple[Any, Path]) -> None:
     torch.testing.assert_close(loss, steps[:, :2].mean())
     loss.backward()
     assert any(p.grad is not None for p in theirs.get_optim_params())
+
+
+def test_lerobot_weighs_frames_by_their_own_loss(exported: tuple[Any, Path]) -> None:
+    policy, path = exported
+    config = PreTrainedConfig.from_pretrained(path)
+    theirs = get_policy_class("rlco").from_pretrained(path, config=config)
+    given = batch() | {"action": torch.rand(3, 4, 7)}
+    steps = policy.imitation_loss(theirs._rows(given))
+    loss, _ = theirs.forward(given, reduction="none")
+    torch.testing.assert_close(loss, steps.mean(1))
+    pad = torch.tensor([[False] * 4, [False, True, True, True], [True] * 4])
+    loss, told = theirs.forward(given | {"action_is_pad": pad}, reduction="none")
+    expected = torch.stack([steps[0].mean(), steps[1, 0], torch.tensor(0.0)])
+    torch.testing.assert_close(loss, expected)
+    assert told["loss_bc"] == pytest.approx(float(expected.mean()))
+    with pytest.raises(ConfigError, match="reduction='sum' is neither"):
+        theirs.forward(given, reduction="sum")
 
 
 def test_a_text_that_was_never_trained_is_refused(exported: tuple[Any, Path]) -> None:

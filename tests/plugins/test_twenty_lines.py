@@ -15,6 +15,7 @@ from vla_files import record, tiny_with_statistics
 
 from rlco.data import load_demos
 from rlco.errors import NoSignalError
+from rlco.losses import MasterWeightAdamW
 from rlco.physics.task import make_task
 from rlco.policies.lerobot_checkpoint import load_lerobot
 from rlco.policies.lerobot_policies import LeRobotPolicy
@@ -51,17 +52,17 @@ def test_the_policy_learns_slowly_and_what_is_new_beside_it_fast(
     script = load_script()
     made = []
 
-    class Seen(torch.optim.AdamW):
+    class Seen(MasterWeightAdamW):
         def __init__(self, *args: Any, **options: Any) -> None:
             super().__init__(*args, **options)
             made.append(self)
 
-    monkeypatch.setattr(torch.optim, "AdamW", Seen)
+    monkeypatch.setattr(script, "MasterWeightAdamW", Seen)
     monkeypatch.setattr(script, "make_env", partial(script.make_env, horizon=8))
     source = tiny_with_statistics(tmp_path / "tiny")
     demos = record(tmp_path / "demos")
     script.co_train(source, demos, tmp_path / "out", iterations=1, num_envs=2)
-    optimizer = made[0]  # saving builds another, for lerobot-train
+    (optimizer,) = made
     rates = [group["lr"] for group in optimizer.param_groups]
     assert rates == [4e-6, 2e-4]
     moved = [

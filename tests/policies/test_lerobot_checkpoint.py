@@ -11,13 +11,18 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from lerobot.common.train_utils import load_training_state
 from lerobot.configs import PreTrainedConfig
+from lerobot.configs.default import DatasetConfig
+from lerobot.configs.train import TrainPipelineConfig
 from lerobot.policies.factory import get_policy_class, make_pre_post_processors
+from lerobot.utils.sample_weighting import SampleWeightingConfig
 from safetensors.torch import load_file, save_file
 from transformers import AutoConfig, SmolVLMForConditionalGeneration
 from vla_cases import KINDS, actor, folder, rows
 
 from rlco.errors import CheckpointError
+from rlco.policies import lerobot_export
 from rlco.policies.lerobot_checkpoint import load_lerobot
 from rlco.policies.lerobot_export import load_beside, save_lerobot
 from rlco.policies.lerobot_inputs import dataset_stats
@@ -132,6 +137,17 @@ def test_a_checkpoint_of_another_action_size_is_refused() -> None:
         load_lerobot(folder("smolvla"), action_size=6)
 
 
+def test_a_checkpoint_of_another_state_size_is_refused(copied: Path) -> None:
+    with pytest.raises(CheckpointError, match=r"reads 7 state numbers.*gives 9"):
+        load_lerobot(copied, state_size=9)
+    file = copied / "config.json"
+    raw = json.loads(file.read_text())
+    del raw["input_features"]["observation.state"]
+    file.write_text(json.dumps(raw))
+    with pytest.raises(CheckpointError, match=r"reads 0 state numbers.*gives 7"):
+        load_lerobot(copied, state_size=7)
+
+
 def test_missing_statistics_are_refused_and_can_be_given(copied: Path) -> None:
     file = next(copied.glob("policy_preprocessor_step_*_normalizer*.safetensors"))
     kept = load_file(file)
@@ -163,6 +179,9 @@ def test_statistics_are_those_of_all_frames() -> None:
         ({"adapt_to_pi_aloha": True}, "adapt_to_pi_aloha=true"),
         ({"use_cache": False}, "use_cache=false"),
         ({"output_features": {}}, "no action feature"),
+        ({"option_of_another_lerobot": 1}, "no configuration that LeRobot can read"),
+        ({"num_steps": "four"}, "no configuration that LeRobot can read"),
+        ({"vlm_model_name": "nowhere/vlm"}, "'nowhere/vlm'.*tokenizer=FOLDER"),
     ],
 )
 def test_other_checkpoints_are_refused(
@@ -174,6 +193,29 @@ def test_other_checkpoints_are_refused(
     else:
         configure(copied, **values)
     with pytest.raises(CheckpointError, match=message):
+        load_lerobot(copied)
+
+
+def test_a_training_of_another_lerobot_is_refused_before_it_is_trained(
+    copied: Path,
+) -> None:
+    (copied / "model.safetensors").unlink()  # it is not read so far
+    for text in ('{"option_of_another_lerobot": 1}', '{"env": {"type": "gone"}}', "{"):
+        (copied / "train_config.json").write_text(text)
+        with pytest.raises(CheckpointError, match="take the file away"):
+            load_lerobot(copied)
+
+
+def test_checkpoints_from_before_processors_are_refused(copied: Path) -> None:
+    file = copied / "policy_preprocessor.json"
+    whole = json.loads(file.read_text())
+    steps = [s for s in whole["steps"] if s["registry_name"] != "device_processor"]
+    file.write_text(json.dumps(whole | {"steps": steps}))
+    with pytest.raises(CheckpointError, match=r"lacks a processor.*device_processor"):
+        load_lerobot(copied)
+    for kind in ("pre", "post"):
+        (copied / f"policy_{kind}processor.json").unlink()
+    with pytest.raises(CheckpointError, match=r"lacks a processor.*LeRobot 0\.6"):
         load_lerobot(copied)
 
 
@@ -264,6 +306,97 @@ def test_a_checkpoint_is_not_overwritten(tmp_path: Path) -> None:
     save_lerobot(checkpoint, tmp_path, step=1)
     with pytest.raises(CheckpointError, match="is not overwritten"):
         save_lerobot(checkpoint, tmp_path, step=1)
+
+
+def test_an_interrupted_save_leaves_nothing_that_looks_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    checkpoint = load_lerobot(folder("smolvla"))
+    first = save_lerobot(checkpoint, tmp_path, step=1)
+
+    def full(*_: Any) -> None:
+        raise OSError("no space left on device")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(lerobot_export, "save_state", full)
+        with pytest.raises(OSError, match="no space left"):
+            save_lerobot(checkpoint, tmp_path, step=2, beside={"critic": {}})
+    assert not (tmp_path / "checkpoints" / "000002").exists()
+    assert (tmp_path / "checkpoints" / "last").resolve() == first.parent
+    again = save_lerobot(checkpoint, tmp_path, step=2, beside={"critic": {}})
+    assert (tmp_path / "checkpoints" / "last").resolve() == again.parent
+    left = {file.name for file in (tmp_path / "checkpoints").iterdir()}
+    assert left == {"000001", "000002", "last"}
+
+
+@both
+def test_lerobots_commands_denoise_and_execute_as_trained(
+    kind: str, tmp_path: Path
+) -> None:
+    checkpoint = load_lerobot(folder(kind))
+    policy = LeRobotPolicy(checkpoint, instructions=("a",), steps=3, executed=2)
+    saved = save_lerobot(checkpoint, tmp_path, step=1)
+    held = json.loads((saved / "config.json").read_text())
+    name = {"pi05": "num_inference_steps", "smolvla": "num_steps"}[kind]
+    assert (held[name], held["n_action_steps"]) == (3, 2)
+    config = PreTrainedConfig.from_pretrained(saved)
+    theirs = get_policy_class(kind).from_pretrained(saved, config=config)
+    calls = []
+    part = theirs.model.action_out_proj
+    part.register_forward_hook(lambda *_: calls.append(1))
+    batch = policy.inputs.observe(rows(1).exclude("vla_action"))
+    theirs.predict_action_chunk(batch)
+    assert len(calls) == 3
+
+
+def test_a_resumed_training_reads_the_anchor_and_none_of_what_was_before(
+    copied: Path, tmp_path: Path
+) -> None:
+    before = TrainPipelineConfig(
+        dataset=DatasetConfig(repo_id="theirs/other", eval_split=0.1),
+        policy=PreTrainedConfig.from_pretrained(copied),
+        rename_map={"observation.images.top": "observation.images.front"},
+        eval_steps=50,
+        sample_weighting=SampleWeightingConfig(type="uniform"),
+        use_policy_training_preset=False,
+        steps=3,
+        batch_size=5,
+    )
+    before.save_pretrained(copied)
+    checkpoint = load_lerobot(copied)
+    seen = "observation.images.front"
+    options = {"data": tmp_path / "real", "rename": {"observation.images.cam": seen}}
+    anchored = save_lerobot(checkpoint, tmp_path / "a", step=7, **options)
+    held = TrainPipelineConfig.from_pretrained(anchored)
+    assert held.dataset.root == str(tmp_path / "real")
+    assert held.rename_map == options["rename"]
+    assert (held.eval_steps, held.sample_weighting) == (0, None)
+    assert (held.steps, held.batch_size) == (7, 5)
+    # Else LeRobot refuses it, as it has an optimiser and no schedule.
+    assert held.use_policy_training_preset
+    # Without an anchor the data stays what it was.
+    bare = TrainPipelineConfig.from_pretrained(
+        save_lerobot(checkpoint, tmp_path / "b", step=7)
+    )
+    assert bare.dataset.repo_id == "theirs/other"
+    assert bare.rename_map == before.rename_map
+    assert bare.eval_steps == 50
+
+
+@both
+def test_lerobot_resumes_what_had_adapters(kind: str, tmp_path: Path) -> None:
+    checkpoint = load_lerobot(folder(kind))
+    policy = LeRobotPolicy(checkpoint, instructions=("push", "pull"))
+    add_expert_lora(policy.model, rank=2)
+    saved = save_lerobot(checkpoint, tmp_path, step=4)
+    config = TrainPipelineConfig.from_pretrained(saved)
+    held = PreTrainedConfig.from_pretrained(saved)
+    theirs = get_policy_class(held.type).from_pretrained(saved, config=held)
+    optimizer = config.optimizer.build(theirs.get_optim_params())
+    step, _, _ = load_training_state(saved.parent, optimizer, None)
+    assert step == 4
+    theirs.eval()
+    assert len(optimizer.param_groups[0]["params"]) == len(list(theirs.parameters()))
 
 
 @both

@@ -214,6 +214,18 @@ def test_training_all_reaches_the_images(kind: str) -> None:
 
 
 @both
+def test_evaluation_keeps_no_prefix(kind: str) -> None:
+    policy = still(kind)
+    td = rollout(policy)
+    assert "keys" in td[PREFIX]
+    # An environment hands back what was written one decision before.
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        policy(td)
+    assert set(td[PREFIX].keys()) == {"summary"}
+    torch.testing.assert_close(td[SUMMARY], policy.new_summary(td))
+
+
+@both
 def test_a_prefix_of_weights_that_are_trained_is_refused(kind: str) -> None:
     policy = actor(kind)
     td = rollout(policy)

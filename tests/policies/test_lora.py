@@ -34,6 +34,31 @@ def test_adapters_add_a_product_of_low_rank() -> None:
     torch.testing.assert_close(model[2](hidden), by_hand)
 
 
+def test_adapters_of_coarse_weights_are_fine_and_told_what_merging_loses(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    model = network().bfloat16()
+    add_lora(model, [model[2]], rank=1)
+    adapters = [p for p in model.parameters() if p.requires_grad]
+    assert {p.dtype for p in adapters} == {torch.float32}
+    assert model(torch.ones(1, 3).bfloat16()).dtype == torch.bfloat16
+    # Added to 1.5 and 0.75, 2 ** -10 is less than half of what lies between neighbours.
+    with torch.no_grad():
+        model[2].weight[0], model[2].weight[1] = 1.5, 0.75
+        model[2].lora_A["default"].weight.fill_(2.0**-10)
+        model[2].lora_B["default"].weight.fill_(1.0)
+    merged = merged_state(model)
+    assert torch.equal(merged["2.weight"], model[2].weight)
+    assert "off by 100 % of its size" in caplog.text
+    caplog.clear()
+    with torch.no_grad():
+        model[2].lora_A["default"].weight.fill_(0.25)
+    merged = merged_state(model)
+    assert merged["2.weight"].dtype == torch.bfloat16
+    assert torch.equal(merged["2.weight"], model[2].weight + 0.25)
+    assert not caplog.text
+
+
 def test_a_model_without_adapters_says_so() -> None:
     model = network()
     assert not has_lora(model)

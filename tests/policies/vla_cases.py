@@ -52,7 +52,11 @@ def actor(kind: str, **options: Any) -> LeRobotPolicy:
 def still(kind: str, *, dtype: str = "float32", **options: Any) -> LeRobotPolicy:
     """Return an actor whose weights all tests share: they must not change them."""
     checkpoint = _shared(kind, dtype)
-    return LeRobotPolicy(checkpoint, **{"instructions": INSTRUCTIONS, **options})
+    config, steps = checkpoint.config, checkpoint.model.steps_option
+    before = {"n_action_steps": config.n_action_steps, steps: getattr(config, steps)}
+    policy = LeRobotPolicy(checkpoint, **{"instructions": INSTRUCTIONS, **options})
+    vars(config).update(before)  # an actor makes them what it was given
+    return policy
 
 
 def rows(count: int, *, chunk: int = 8, action_size: int = 7) -> TensorDictBase:

@@ -17,7 +17,8 @@ from safetensors.torch import load_file, save_file
 from tensordict import TensorDict, TensorDictBase
 
 from rlco.data import DemoWriter
-from rlco.errors import CheckpointError
+from rlco.errors import CheckpointError, RenderingError
+from rlco.physics import camera
 from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
 from rlco.policies.lerobot_inputs import dataset_stats
 from rlco.policies.tiny.smolvla import write_tiny_smolvla
@@ -102,6 +103,22 @@ def test_the_noises_gradient_is_clipped_with_the_policys(tiny: Path) -> None:
     # epsilon of 1e-8 is the larger one.
     assert far[0] == pytest.approx(2e-4, rel=0.1)
     assert far[1] < 1e-8
+
+
+def test_weights_of_16_bits_move_by_small_steps_too(tiny: Path) -> None:
+    recipe, config = configured(tiny, minibatch=4, accumulate=1, lr=4e-6)
+    _, policy, _ = recipe.load(config)
+    expert = policy.policy.model.vlm_with_expert.lm_expert.bfloat16()
+    policy.policy.model.vlm_with_expert.vlm.bfloat16()
+    learner = recipe.make_learner(config, policy, None, 4)
+    learner.update(rollout(policy, learner.critic), 1)
+    gone = [
+        float((learner.actor_optimizer.state[p]["master"] - p).abs().max())
+        for p in expert.parameters()
+        if p in learner.actor_optimizer.state
+    ]
+    # What bfloat16 could not hold is kept beside it.
+    assert max(gone) == pytest.approx(4e-6, rel=0.5)
 
 
 def test_minibatches_together_make_one_update(tiny: Path) -> None:
@@ -207,7 +224,9 @@ def test_options_reach_the_policy(tiny: Path) -> None:
         padded_mean=True,
         keep_prefix=False,
     )
-    _, policy, _ = recipe.load(config)
+    checkpoint, policy, _ = recipe.load(config)
+    # What is trained to act is what LeRobot's commands will do.
+    assert (checkpoint.config.num_steps, checkpoint.config.n_action_steps) == (3, 2)
     td = rollout(policy)
     assert td["action"].shape == (4, 2, 7)
     assert td["vla_action", "sample"].shape == (4, 4, 8, 32)
@@ -290,10 +309,34 @@ def test_options_are_checked_before_the_weights_are_read(
 ) -> None:
     empty = tmp_path / "empty"
     shutil.copytree(tiny, empty, ignore=shutil.ignore_patterns("model.safetensors"))
+    out = f"out={tmp_path / 'out'}"
     given = [f"policy={empty}", "executed=9", "noise_level=-1"]
-    told = refused(capsys, RECIPE, *given, f"out={tmp_path / 'out'}")
+    told = refused(capsys, RECIPE, *given, out)
     for part in ("executed=9", "noise_level=-1", "needs real_demos=FOLDER"):
         assert part in told
+    for options, message in (
+        (["real_demos=nowhere"], "nowhere"),
+        (["real_coeff=0", "stats=nowhere"], "nowhere"),
+        (["real_coeff=0", "camera=observation.images.wrist"], "its cameras are"),
+    ):
+        assert message in refused(capsys, RECIPE, f"policy={empty}", out, *options)
+
+
+def test_a_machine_that_cannot_draw_is_told_before_the_weights_are_read(
+    tiny: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    empty = tmp_path / "empty"
+    shutil.copytree(tiny, empty, ignore=shutil.ignore_patterns("model.safetensors"))
+
+    def fail() -> None:
+        raise RenderingError("egl", "no library")
+
+    monkeypatch.setattr(camera, "check_rendering", fail)
+    given = [f"policy={empty}", "real_coeff=0", f"out={tmp_path / 'out'}"]
+    assert "no library" in refused(capsys, RECIPE, *given)
 
 
 def test_gradient_checkpointing_is_refused_before_a_run_is_made(
@@ -302,6 +345,7 @@ def test_gradient_checkpointing_is_refused_before_a_run_is_made(
     from rlco.policies.tiny.pi05 import write_tiny_pi05
 
     folder = write_tiny_pi05(tmp_path / "pi05")
+    (folder / "model.safetensors").unlink()  # it is not read so far
     file = folder / "config.json"
     raw = json.loads(file.read_text()) | {"gradient_checkpointing": True}
     file.write_text(json.dumps(raw))

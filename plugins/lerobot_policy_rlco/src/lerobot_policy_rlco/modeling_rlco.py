@@ -15,7 +15,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from lerobot_policy_rlco.configuration_rlco import RlcoConfig
 from rlco import keys
 from rlco.data.resize import resized
-from rlco.errors import DataError, suggest
+from rlco.errors import ConfigError, DataError, suggest
 from rlco.losses import ImitationLoss
 from rlco.policies import make_policy
 
@@ -127,8 +127,26 @@ class RlcoPolicy(PreTrainedPolicy):
     def forward(
         self, batch: dict[str, Any], reduction: str = "mean"
     ) -> tuple[torch.Tensor, dict[str, float]]:
-        """Return the imitation loss, padding left out, for ``lerobot-train``."""
-        del reduction
+        """Return the imitation loss, padding left out, for ``lerobot-train``.
+
+        Args:
+            batch: LeRobot's, of B frames with the actions that follow them.
+            reduction: "mean" over all steps, or "none": (B,), each frame's own mean,
+                which LeRobot's sample weights multiply.
+
+        Raises:
+            ConfigError: another reduction.
+        """
         rows = self._rows(batch)
-        loss = ImitationLoss(self.actor, functional=False)(rows)["loss_bc"]
-        return loss, {"loss_bc": float(loss.detach())}
+        if reduction == "none":
+            error = self.actor.imitation_loss(rows)
+            counted = torch.ones_like(error, dtype=torch.bool)
+            if keys.IS_PAD in rows:
+                counted = ~rows[keys.IS_PAD]
+            total = torch.where(counted, error, 0.0).sum(1)
+            loss = total / counted.sum(1).clamp_min(1)
+        elif reduction == "mean":
+            loss = ImitationLoss(self.actor, functional=False)(rows)["loss_bc"]
+        else:
+            raise ConfigError([f"reduction={reduction!r} is neither 'mean' nor 'none'"])
+        return loss, {"loss_bc": float(loss.detach().mean())}
