@@ -1,5 +1,6 @@
 """Both stages on a LeRobot checkpoint: load, train, save; docs/vla.md explains."""
 
+from dataclasses import asdict
 from functools import partial
 
 import torch
@@ -26,7 +27,9 @@ def imitate(source, sim, real, target, task="push_cube", alpha=0.5, updates=1000
     sides = {"sim": load(sim), "real": load(real)}
     losses = [ImitationLoss(policy, functional=False) for _ in sides]
     loss = CoTrainingLoss(*losses, sim_coeff=alpha, real_coeff=1 - alpha)
-    optimizer = MasterWeightAdamW(loss.parameters(), lr=checkpoint.config.optimizer_lr)
+    preset = asdict(checkpoint.config.get_optimizer_preset())
+    del preset["grad_clip_norm"]
+    optimizer = MasterWeightAdamW(loss.parameters(), **preset)
     for _ in range(updates):
         rows = {root: side.sample(32) for root, side in sides.items()}
         out = loss(TensorDict(rows).to(policy.device))

@@ -198,6 +198,8 @@ def load(config: Config) -> tuple[Any, Any, Any]:
 
 def train(config: Config, run: Run, checkpoint: Any, policy: Any, real: Any) -> None:
     """Train, and write LeRobot checkpoints to the run's folder ``lerobot``."""
+    from lerobot.common.train_utils import update_last_checkpoint
+
     from rlco.collectors import RolloutCollector, check_signal
     from rlco.envs import make_env
     from rlco.evaluation import evaluation_env, success_rates
@@ -244,6 +246,10 @@ def train(config: Config, run: Run, checkpoint: Any, policy: Any, real: Any) -> 
     renamed = {config.real_camera: seen} if config.real_camera else {}
 
     def save(iteration: int) -> None:
+        there = folder / "checkpoints" / f"{iteration:06d}"
+        if there.exists():  # the run was interrupted after it was written
+            update_last_checkpoint(there)
+            return
         parts = {"critic": learner.critic, "noise": policy.noise}
         saved = save_lerobot(
             checkpoint,
@@ -293,11 +299,10 @@ def train(config: Config, run: Run, checkpoint: Any, policy: Any, real: Any) -> 
                 "frames_per_second": collector.frames / (learned - started),
             },
         )
-        run.save_checkpoint(iteration, learner.state())
         if iteration % config.save_every == 0 and not last:
             save(iteration)
-    if not (folder / "checkpoints" / f"{config.iterations:06d}").exists():
-        save(config.iterations)
+        run.save_checkpoint(iteration, learner.state())
+    save(config.iterations)
     collector.close()
 
 

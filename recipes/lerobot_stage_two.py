@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 from rlco.errors import DataError
@@ -36,7 +37,7 @@ def load_real(config: Config, task: Any, policy: Any) -> Any:
         chunk=policy.chunk,
         instructions=task.instructions,
         action_dim=policy.action_size,
-        state_dim=policy.state_size,
+        state_dim=policy.inputs.state_size,
         image_key=config.real_camera or policy.inputs.camera,
     )
     if demos.meta.fps != task.control_frequency:
@@ -86,7 +87,9 @@ def make_learner(config: Config, policy: Any, real: Any, rows: int) -> LargeLear
         loss_critic_type="l2",
     )
     anchor = ImitationLoss(policy, functional=False) if real is not None else None
-    preset = policy.policy.config.get_optimizer_preset()
+    # LeRobot's own, but for weights that are too coarse for steps of this size.
+    preset = asdict(policy.policy.config.get_optimizer_preset()) | {"lr": config.lr}
+    del preset["grad_clip_norm"]
     beside = [*policy.noise.parameters(), *(critic.parameters() if critic else ())]
     return LargeLearner(
         policy,
@@ -95,14 +98,7 @@ def make_learner(config: Config, policy: Any, real: Any, rows: int) -> LargeLear
         SimRealReplayBuffer(
             sim, real, sim_ratio=config.minibatch / batch_size, batch_size=batch_size
         ),
-        # LeRobot's own, but for weights that are too coarse for steps of this size.
-        MasterWeightAdamW(
-            policy.policy.parameters(),
-            lr=config.lr,
-            betas=preset.betas,
-            eps=preset.eps,
-            weight_decay=preset.weight_decay,
-        ),
+        MasterWeightAdamW(policy.policy.parameters(), **preset),
         torch.optim.Adam(beside, lr=config.critic_lr),
         minibatch=config.minibatch,
         max_grad_norm=config.max_grad_norm,

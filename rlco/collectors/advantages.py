@@ -53,16 +53,17 @@ def group_advantages(rollout: TensorDictBase, group_size: int) -> torch.Tensor:
     """
     n, t = rollout.batch_size
     reward = rollout["next", keys.REWARD]
-    done = torch.zeros(n, t, 1, dtype=torch.bool)
+    done = torch.zeros_like(reward, dtype=torch.bool)
     done[:, -1] = True
-    group = (torch.arange(n) // group_size).unsqueeze(-1).expand(n, t)
+    order = torch.arange(n, device=reward.device)
+    group = (order // group_size).unsqueeze(-1).expand(n, t)
     episodes = TensorDict(
         {"group": group, "next": {keys.REWARD: reward, keys.DONE: done}}, [n, t]
     )
     advantage = torch.zeros_like(reward)
     sound = ~rollout["next", keys.DIVERGED].flatten(1).any(1)
     for first in range(0, n, group_size):
-        members = torch.arange(first, first + group_size)
+        members = order[first : first + group_size]
         kept = members[sound[members]]
         if len(kept) > 1:  # one alone has nothing to be compared with
             compare = MCAdvantage(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,7 +23,7 @@ from torch import nn
 
 from rlco.errors import CheckpointError
 from rlco.policies.lerobot_flow import FlowModel
-from rlco.policies.lerobot_inputs import Stats, check_statistics
+from rlco.policies.lerobot_inputs import Stats, check_statistics, state_size_of
 from rlco.policies.lerobot_pi05 import Pi05Model
 from rlco.policies.lerobot_smolvla import SmolVLAModel, build_smolvla
 
@@ -85,12 +86,13 @@ def load_lerobot(
     if device is not None:
         config.device = device
     training = train_config(path)
-    _check_sizes(path, config, action_size, state_size)
+    _check_actions(path, config, action_size)
     if tokenizer is not None and hasattr(config, "vlm_model_name"):
         config.vlm_model_name = str(Path(tokenizer).resolve())
     # The processors first: they are quick, and what is wrong shows in them.
     processors = _load_processors(path, config, tokenizer, stats)
     check_statistics(path, config, processors[0])
+    _check_state(path, state_size_of(config, processors[0]), state_size)
     model: FlowModel
     if isinstance(config, SmolVLAConfig):
         model = SmolVLAModel(_build_smolvla(path, config))
@@ -116,6 +118,7 @@ def lerobot_config(folder: str | os.PathLike[str]) -> Any:
     # Types of installed plugins are known only after this.
     register_third_party_plugins()
     try:
+        _check_object(folder / "config.json")
         config = PreTrainedConfig.from_pretrained(folder)
     except (ValueError, ParsingError) as error:
         raise CheckpointError(
@@ -143,6 +146,7 @@ def train_config(folder: Path) -> TrainPipelineConfig | None:
     if not file.is_file():
         return None
     try:
+        _check_object(file)
         return TrainPipelineConfig.from_pretrained(folder)
     except (ValueError, ParsingError) as error:
         raise CheckpointError(
@@ -152,9 +156,12 @@ def train_config(folder: Path) -> TrainPipelineConfig | None:
         ) from error
 
 
-def _check_sizes(
-    folder: Path, config: Any, action_size: int | None, state_size: int | None
-) -> None:
+def _check_object(file: Path) -> None:
+    if not isinstance(json.loads(file.read_text()), dict):
+        raise ValueError("it holds no JSON object")
+
+
+def _check_actions(folder: Path, config: Any, action_size: int | None) -> None:
     feature = config.action_feature
     if feature is None:
         raise CheckpointError(
@@ -167,19 +174,20 @@ def _check_sizes(
             f"the checkpoint {str(folder)!r} has {size} action numbers, the robot or "
             f"the task {action_size}; give a checkpoint that was trained on it."
         )
-    state = config.robot_state_feature
-    found = 0 if state is None else state.shape[0]
-    if state_size is not None and found != state_size:
+
+
+def _check_state(folder: Path, found: int | None, expected: int | None) -> None:
+    if None not in (found, expected) and found != expected:
         raise CheckpointError(
             f"the checkpoint {str(folder)!r} reads {found} state numbers, the robot or "
-            f"the task gives {state_size}; give a checkpoint that was trained on it."
+            f"the task gives {expected}; give a checkpoint that was trained on it."
         )
 
 
 def _build_smolvla(folder: Path, config: Any) -> Any:
     try:
         return build_smolvla(config)
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, ImportError) as error:
         raise CheckpointError(
             f"the vision-language model {config.vlm_model_name!r} of the checkpoint "
             f"{str(folder)!r} cannot be built ({_first_line(error)}); where its "

@@ -11,7 +11,7 @@ from typing import Any
 
 import torch
 from lerobot.common.train_utils import save_checkpoint, update_last_checkpoint
-from lerobot.configs.default import DatasetConfig
+from lerobot.configs.default import DatasetConfig, JobConfig, WandBConfig
 from lerobot.configs.train import TrainPipelineConfig
 from lerobot.optim.optimizers import AdamWConfig
 
@@ -63,6 +63,8 @@ def save_lerobot(
     """
     policy = checkpoint.model.policy
     config = _train_config(checkpoint, Path(folder), step, data, rename)
+    if optimizer is not None:
+        config.optimizer = _adamw(optimizer, config.optimizer.grad_clip_norm)
     target = Path(folder) / "checkpoints" / f"{step:06d}"
     if target.exists():
         raise CheckpointError(
@@ -72,8 +74,9 @@ def save_lerobot(
     if optimizer is None or has_lora(policy):
         optimizer = config.optimizer.build(without_lora(policy))
     state = merged_state(policy) if has_lora(policy) else None
+    for left in target.parent.glob("*.partial"):  # by a save that was interrupted
+        shutil.rmtree(left)
     partial = target.with_name(f"{target.name}.partial")
-    shutil.rmtree(partial, ignore_errors=True)
     save_checkpoint(
         partial,
         step,
@@ -92,6 +95,13 @@ def save_lerobot(
     partial.rename(target)
     update_last_checkpoint(target)
     return target / "pretrained_model"
+
+
+def _adamw(optimizer: torch.optim.Optimizer, grad_clip_norm: float) -> AdamWConfig:
+    """Return the configuration of the optimiser whose state is written."""
+    options = {name: optimizer.defaults[name] for name in ("lr", "eps", "weight_decay")}
+    betas = tuple(optimizer.defaults["betas"])
+    return AdamWConfig(**options, betas=betas, grad_clip_norm=grad_clip_norm)
 
 
 def load_beside(folder: str | os.PathLike[str], name: str) -> Any | None:
@@ -131,5 +141,8 @@ def _train_config(
     # on its presets; of a resumed training it takes none.
     config.scheduler = None
     config.use_policy_training_preset = True
+    # Nor may it go on in another run's log or repository.
+    config.wandb, config.job = WandBConfig(), JobConfig()
+    config.save_checkpoint_to_hub = policy.push_to_hub = False
     config.resume = False
     return config

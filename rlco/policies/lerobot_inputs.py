@@ -67,6 +67,8 @@ class LeRobotInputs:
         #: Height and width of the frames that the checkpoint was trained on [pixels].
         self.image_size: tuple[int, int] = (height, width)
         self.tokens: int = config.tokenizer_max_length
+        #: Numbers of a state, where that is known.
+        self.state_size = state_size_of(config, preprocessor)
         self._normalizer = normalizer(preprocessor)
 
     def observe(self, tensordict: TensorDictBase) -> dict[str, Any]:
@@ -120,6 +122,19 @@ def normalizer(preprocessor: Any) -> Any:
         "the checkpoint's preprocessor normalises nothing; write it anew with LeRobot "
         "0.6, which keeps the statistics in the processors."
     )
+
+
+def state_size_of(config: Any, preprocessor: Any) -> int | None:
+    """Return how many numbers the states have that a checkpoint was trained on.
+
+    The statistics tell: LeRobot fine-tunes with the state of the data, but leaves in
+    ``config.json`` what the base had, whose models pad states anyway.
+    """
+    for value in (normalizer(preprocessor).stats or {}).get(OBS_STATE, {}).values():
+        if np.ndim(value):
+            return len(value)
+    feature = config.robot_state_feature
+    return None if feature is None else feature.shape[0]
 
 
 def check_statistics(folder: object, config: Any, preprocessor: Any) -> None:

@@ -121,7 +121,6 @@ class LeRobotPolicy(TensorDictModuleBase):
         self.chunk: int = config.chunk_size
         self.executed: int = config.n_action_steps if executed is None else executed
         self.action_size: int = config.action_feature.shape[0]
-        self.state_size: int = config.robot_state_feature.shape[0]
         self.width: int = config.max_action_dim
         steps = self.model.steps if steps is None else steps
         self.chain = FlowChain(

@@ -85,12 +85,54 @@ def test_weights_and_gradients_stay_the_tensors_that_they_were() -> None:
 
 def test_what_has_no_gradient_rests() -> None:
     parameters = weights(torch.bfloat16)
-    before = parameters[1].detach().clone()
     optimizer = MasterWeightAdamW(parameters, lr=0.1)
-    parameters[0].grad = torch.ones_like(parameters[0])
+    follow(optimizer, gradients(1))
+    with torch.no_grad():
+        parameters[1].fill_(3.0)
+    parameters[1].grad = None
+    before = parameters[0].detach().clone()
     optimizer.step()
-    assert torch.equal(parameters[1], before)
-    assert parameters[1] not in optimizer.state
+    assert torch.equal(parameters[1], torch.full((5,), 3.0).bfloat16())
+    assert not torch.equal(parameters[0], before)
+
+
+def test_a_step_that_fails_changes_no_weight_and_is_made_good_by_the_next() -> None:
+    parameters, others = weights(torch.bfloat16), weights(torch.bfloat16)
+    broken, sound = (MasterWeightAdamW(p, lr=0.1) for p in (parameters, others))
+    steps = gradients(2)
+    for optimizer in (broken, sound):
+        follow(optimizer, steps[:1])
+    before = [p.detach().clone() for p in parameters]
+    parameters[0].grad = torch.ones_like(parameters[0])
+    parameters[1].grad = parameters[1].detach().to_sparse()
+    with pytest.raises(RuntimeError, match="sparse"):
+        broken.step()
+    assert all(torch.equal(a, b) for a, b in zip(parameters, before, strict=True))
+    for optimizer in (broken, sound):
+        follow(optimizer, steps[1:])
+    assert all(torch.equal(a, b) for a, b in zip(parameters, others, strict=True))
+
+
+def test_hooks_see_each_step_once_with_the_weights_as_they_are() -> None:
+    torch.optim.Adam([torch.zeros(1)])  # torch then wraps the step that it shares
+    parameters = weights(torch.bfloat16)
+    optimizer = MasterWeightAdamW(parameters, lr=0.1)
+    seen: list[torch.Tensor] = []
+    optimizer.register_step_post_hook(
+        lambda *_: seen.append(parameters[0].detach().clone())
+    )
+    follow(optimizer, gradients(1))
+    assert len(seen) == 1
+    assert torch.equal(seen[0], parameters[0])
+
+
+@pytest.mark.parametrize("options", [{"fused": True}, {"amsgrad": True}])
+def test_adamws_own_options_work(options: dict[str, Any]) -> None:
+    narrow, wide = weights(torch.bfloat16), weights(torch.float32)
+    follow(MasterWeightAdamW(narrow, **OPTIONS, **options), gradients(50))
+    follow(AdamW(wide, **OPTIONS, **options), gradients(50))
+    for ours, theirs in zip(narrow, wide, strict=True):
+        assert torch.equal(ours, theirs.bfloat16())
 
 
 def test_a_closure_is_called_once_and_its_loss_returned() -> None:

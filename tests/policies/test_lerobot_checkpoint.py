@@ -13,8 +13,9 @@ import pytest
 import torch
 from lerobot.common.train_utils import load_training_state
 from lerobot.configs import PreTrainedConfig
-from lerobot.configs.default import DatasetConfig
+from lerobot.configs.default import DatasetConfig, WandBConfig
 from lerobot.configs.train import TrainPipelineConfig
+from lerobot.optim import AdamWConfig, DiffuserSchedulerConfig, SGDConfig
 from lerobot.policies.factory import get_policy_class, make_pre_post_processors
 from lerobot.utils.sample_weighting import SampleWeightingConfig
 from safetensors.torch import load_file, save_file
@@ -22,6 +23,7 @@ from transformers import AutoConfig, SmolVLMForConditionalGeneration
 from vla_cases import KINDS, actor, folder, rows
 
 from rlco.errors import CheckpointError
+from rlco.losses import MasterWeightAdamW
 from rlco.policies import lerobot_export
 from rlco.policies.lerobot_checkpoint import load_lerobot
 from rlco.policies.lerobot_export import load_beside, save_lerobot
@@ -140,12 +142,15 @@ def test_a_checkpoint_of_another_action_size_is_refused() -> None:
 def test_a_checkpoint_of_another_state_size_is_refused(copied: Path) -> None:
     with pytest.raises(CheckpointError, match=r"reads 7 state numbers.*gives 9"):
         load_lerobot(copied, state_size=9)
+    # Fine-tuned from a base of another robot: config.json keeps what the base had.
     file = copied / "config.json"
     raw = json.loads(file.read_text())
-    del raw["input_features"]["observation.state"]
+    raw["input_features"]["observation.state"]["shape"] = [6]
     file.write_text(json.dumps(raw))
-    with pytest.raises(CheckpointError, match=r"reads 0 state numbers.*gives 7"):
-        load_lerobot(copied, state_size=7)
+    checkpoint = load_lerobot(copied, state_size=7)
+    policy = LeRobotPolicy(checkpoint, instructions=("push", "pull"))
+    assert policy.inputs.state_size == 7
+    assert torch.isfinite(policy.imitation_loss(rows(2))).all()
 
 
 def test_missing_statistics_are_refused_and_can_be_given(copied: Path) -> None:
@@ -200,7 +205,8 @@ def test_a_training_of_another_lerobot_is_refused_before_it_is_trained(
     copied: Path,
 ) -> None:
     (copied / "model.safetensors").unlink()  # it is not read so far
-    for text in ('{"option_of_another_lerobot": 1}', '{"env": {"type": "gone"}}', "{"):
+    broken = ('{"option_of_another_lerobot": 1}', '{"env": {"type": "gone"}}')
+    for text in (*broken, "{", "null"):
         (copied / "train_config.json").write_text(text)
         with pytest.raises(CheckpointError, match="take the file away"):
             load_lerobot(copied)
@@ -321,12 +327,14 @@ def test_an_interrupted_save_leaves_nothing_that_looks_whole(
         patch.setattr(lerobot_export, "save_state", full)
         with pytest.raises(OSError, match="no space left"):
             save_lerobot(checkpoint, tmp_path, step=2, beside={"critic": {}})
+    assert (tmp_path / "checkpoints" / "000002.partial").exists()
     assert not (tmp_path / "checkpoints" / "000002").exists()
     assert (tmp_path / "checkpoints" / "last").resolve() == first.parent
-    again = save_lerobot(checkpoint, tmp_path, step=2, beside={"critic": {}})
+    again = save_lerobot(checkpoint, tmp_path, step=3, beside={"critic": {}})
     assert (tmp_path / "checkpoints" / "last").resolve() == again.parent
+    assert load_beside(again, "critic") == {}
     left = {file.name for file in (tmp_path / "checkpoints").iterdir()}
-    assert left == {"000001", "000002", "last"}
+    assert left == {"000001", "000003", "last"}
 
 
 @both
@@ -340,7 +348,7 @@ def test_lerobots_commands_denoise_and_execute_as_trained(
     name = {"pi05": "num_inference_steps", "smolvla": "num_steps"}[kind]
     assert (held[name], held["n_action_steps"]) == (3, 2)
     config = PreTrainedConfig.from_pretrained(saved)
-    theirs = get_policy_class(kind).from_pretrained(saved, config=config)
+    theirs = get_policy_class(config.type).from_pretrained(saved, config=config)
     calls = []
     part = theirs.model.action_out_proj
     part.register_forward_hook(lambda *_: calls.append(1))
@@ -359,13 +367,22 @@ def test_a_resumed_training_reads_the_anchor_and_none_of_what_was_before(
         eval_steps=50,
         sample_weighting=SampleWeightingConfig(type="uniform"),
         use_policy_training_preset=False,
+        optimizer=SGDConfig(lr=0.3, grad_clip_norm=3.0),
+        scheduler=DiffuserSchedulerConfig(num_warmup_steps=1),
+        wandb=WandBConfig(enable=True, run_id="theirs"),
+        save_checkpoint_to_hub=True,
         steps=3,
         batch_size=5,
     )
     before.save_pretrained(copied)
     checkpoint = load_lerobot(copied)
     seen = "observation.images.front"
-    options = {"data": tmp_path / "real", "rename": {"observation.images.cam": seen}}
+    optimizer = MasterWeightAdamW(checkpoint.model.policy.parameters(), lr=3e-4)
+    options: dict[str, Any] = {
+        "data": tmp_path / "real",
+        "rename": {"observation.images.cam": seen},
+        "optimizer": optimizer,
+    }
     anchored = save_lerobot(checkpoint, tmp_path / "a", step=7, **options)
     held = TrainPipelineConfig.from_pretrained(anchored)
     assert held.dataset.root == str(tmp_path / "real")
@@ -374,6 +391,16 @@ def test_a_resumed_training_reads_the_anchor_and_none_of_what_was_before(
     assert (held.steps, held.batch_size) == (7, 5)
     # Else LeRobot refuses it, as it has an optimiser and no schedule.
     assert held.use_policy_training_preset
+    # Nor does it go on in their log and repository.
+    assert not held.wandb.enable
+    assert held.wandb.run_id is None
+    assert not held.save_checkpoint_to_hub
+    assert held.policy.push_to_hub is False
+    # The optimiser is the one whose state is beside it.
+    assert isinstance(held.optimizer, AdamWConfig)
+    assert (held.optimizer.lr, held.optimizer.grad_clip_norm) == (3e-4, 3.0)
+    resumed = held.optimizer.build(checkpoint.model.policy.parameters())
+    load_training_state(anchored.parent, resumed, None)
     # Without an anchor the data stays what it was.
     bare = TrainPipelineConfig.from_pretrained(
         save_lerobot(checkpoint, tmp_path / "b", step=7)

@@ -186,6 +186,11 @@ def test_a_resumed_run_equals_an_uninterrupted_one(
     assert all(torch.equal(weights[0][name], weights[1][name]) for name in weights[0])
     start_weights = load_file(tiny / "model.safetensors")
     assert any(not torch.equal(v, weights[0][k]) for k, v in start_weights.items())
+    # A run that was interrupted after its last checkpoint, before that was called so.
+    last = part / "lerobot" / "checkpoints" / "last"
+    last.unlink()
+    start(RECIPE, f"resume={part}")
+    assert last.resolve().name == "000002"
 
 
 def test_a_checkpoint_leaves_out_what_is_frozen(tiny: Path) -> None:
