@@ -85,7 +85,7 @@ def load_lerobot(
     config = lerobot_config(path)
     if device is not None:
         config.device = device
-    training = train_config(path)
+    training = _read_training(path)
     _check_actions(path, config, action_size)
     if tokenizer is not None and hasattr(config, "vlm_model_name"):
         config.vlm_model_name = str(Path(tokenizer).resolve())
@@ -136,12 +136,8 @@ def lerobot_config(folder: str | os.PathLike[str]) -> Any:
     return config
 
 
-def train_config(folder: Path) -> TrainPipelineConfig | None:
-    """Return LeRobot's configuration of the training behind a checkpoint, if any.
-
-    Raises:
-        CheckpointError: it is of another LeRobot.
-    """
+def _read_training(folder: Path) -> TrainPipelineConfig | None:
+    """Return LeRobot's configuration of the training behind a checkpoint, if any."""
     file = folder / TRAIN_CONFIG_NAME
     if not file.is_file():
         return None
