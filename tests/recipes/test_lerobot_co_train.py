@@ -309,6 +309,21 @@ def test_wrong_input_ends_with_one_sentence(
     assert not out.exists()
 
 
+def test_a_checkpoint_that_reads_another_robots_state_is_refused(
+    tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other = tmp_path / "other"
+    shutil.copytree(tiny, other)
+    for file in other.glob("policy_preprocessor*normalizer*.safetensors"):
+        kept = load_file(file)
+        wide = {k: torch.ones(9) for k in kept if k.startswith("observation.state.")}
+        assert wide
+        save_file(kept | wide, file)
+    out = tmp_path / "out"
+    told = refused(capsys, RECIPE, f"policy={other}", "real_coeff=0", f"out={out}")
+    assert "reads 9 state numbers, the robot or the task gives 7" in told
+
+
 def test_options_are_checked_before_the_weights_are_read(
     tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
