@@ -147,9 +147,8 @@ def check(config: Config) -> None:
     if problems:
         raise ConfigError(problems)
     camera_of(checkpoint, config.camera)
-    for folder in (config.real_demos, config.stats):
-        if folder is not None:
-            read_folder(folder)
+    if config.real_demos is not None:
+        read_folder(config.real_demos)
     check_rendering()
 
 

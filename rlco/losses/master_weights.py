@@ -60,9 +60,8 @@ class MasterWeightAdamW(AdamW):
             "max_exp_avg_sq": max_exp_avg_sqs,
         }
         lists = (params_with_grad, grads, *moments.values(), state_steps)
-        is_complex: bool = super()._init_group(  # type: ignore[no-untyped-call]
-            group, *lists
-        )
+        plain: Any = super()  # torch types no part of this method
+        is_complex: bool = plain._init_group(group, *lists)
         for place, weight in enumerate(params_with_grad):
             if weight.dtype not in NARROW:
                 continue

@@ -170,26 +170,21 @@ def test_an_interrupted_training_goes_on_alike(tmp_path: Path) -> None:
     assert all(torch.equal(a, b) for a, b in zip(whole, part, strict=True))
 
 
-def test_it_goes_on_from_a_state_of_adamw() -> None:
+@pytest.mark.parametrize(
+    ("first", "second"), [(AdamW, MasterWeightAdamW), (MasterWeightAdamW, AdamW)]
+)
+def test_it_goes_on_from_a_state_of_adamw_and_adamw_from_its(
+    first: type[AdamW], second: type[AdamW]
+) -> None:
     parameters = weights(torch.bfloat16)
-    theirs = AdamW(parameters, lr=0.1)
-    follow(theirs, gradients(3))
-    ours = MasterWeightAdamW(parameters, lr=0.1)
-    ours.load_state_dict(theirs.state_dict())
-    follow(ours, gradients(1))
-    for held in ours.state.values():
+    before, after = first(parameters, lr=0.1), second(parameters, lr=0.1)
+    follow(before, gradients(3))
+    after.load_state_dict(before.state_dict())
+    follow(after, gradients(1))
+    for held in after.state.values():
         assert float(held["step"]) == 4
-        assert held["exp_avg"].dtype == held["master"].dtype == torch.float32
-
-
-def test_adamw_goes_on_from_its_state() -> None:
-    parameters = weights(torch.bfloat16)
-    ours = MasterWeightAdamW(parameters, lr=0.1)
-    follow(ours, gradients(3))
-    theirs = AdamW(parameters, lr=0.1)
-    theirs.load_state_dict(ours.state_dict())
-    follow(theirs, gradients(1))
-    assert all(float(held["step"]) == 4 for held in theirs.state.values())
+        if second is MasterWeightAdamW:
+            assert held["exp_avg"].dtype == held["master"].dtype == torch.float32
 
 
 def test_weights_changed_elsewhere_are_followed() -> None:
