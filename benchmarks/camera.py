@@ -24,8 +24,8 @@ SIZES = (64, 128, 224)
 
 def sides(size: int) -> dict[str, Callable[[], Any]]:
     """Return what draws one frame of the same scene, each side under its name."""
-    from rlco.physics.camera import Camera
-    from rlco.physics.tabletop import make_robosuite
+    from rlco.physics.rendering.camera import Camera
+    from rlco.physics.tasks.plain_robosuite import make_robosuite
 
     env = make_robosuite("push_cube", image_size=(size, size))
     for _ in range(5):

@@ -1,4 +1,4 @@
-"""Success with pictures of both qualities, by a policy whose eyes know only `fast`.
+"""Success with images of both qualities, by a policy whose eyes know only `fast`.
 
 Run with OMP_NUM_THREADS=1, after a policy on positions was trained (the commands are
 in benchmarks/README.md)::
@@ -6,9 +6,9 @@ in benchmarks/README.md)::
     python benchmarks/camera_quality.py policy=outputs/sft/RUN/policy
 
 A small convolutional network learns to read the positions of cubes and marks from
-128 x 128 pictures of quality `fast`, along episodes of that policy. Then it stands in
+128 x 128 images of quality `fast`, along episodes of that policy. Then it stands in
 front of the policy, and all play the same episodes of push_cube in ``sim``: on reported
-positions, and on pictures of either quality. Prints one markdown table.
+positions, and on images of either quality. Prints one markdown table.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 
 from rlco import keys
-from rlco.config import REQUIRED, option
 from rlco.envs import make_env
 from rlco.evaluation import evaluate, evaluation_env
 from rlco.policies import load_policy
 from rlco.run import run_recipe
+from rlco.runs.config import REQUIRED, option
 
 log = logging.getLogger("rlco.camera_quality")
 SIZE = (128, 128)
@@ -38,14 +38,14 @@ class Config:
     """Options of camera_quality.py."""
 
     policy: str = option(REQUIRED, "folder of a saved policy on positions")
-    training_episodes: int = option(192, "episodes to learn pictures from", minimum=1)
-    epochs: int = option(12, "times each picture is seen", minimum=1)
+    training_episodes: int = option(192, "episodes to learn images from", minimum=1)
+    epochs: int = option(12, "times each image is seen", minimum=1)
     episodes: int = option(64, "episodes of each evaluation", minimum=1)
-    seed: int = option(0, "seed of pictures and network", minimum=0)
+    seed: int = option(0, "seed of images and network", minimum=0)
 
 
 class Eyes(nn.Module):
-    """Pictures to positions: convolutions, where each channel is brightest, a head."""
+    """Images to positions: convolutions, where each channel is brightest, a head."""
 
     def __init__(self, outputs: int, channels: int = 32) -> None:
         super().__init__()
@@ -75,7 +75,7 @@ class Eyes(nn.Module):
 
 
 def collect(policy: Any, episodes: int, seed: int) -> tuple[Tensor, Tensor]:
-    """Return pictures, (B, 3, H, W), and what is reported with them, (B, E)."""
+    """Return images, (B, 3, H, W), and what is reported with them, (B, E)."""
     env = make_env(
         TASK,
         domain=DOMAIN,
@@ -95,7 +95,7 @@ def collect(policy: Any, episodes: int, seed: int) -> tuple[Tensor, Tensor]:
 
 
 def learn(images: Tensor, positions: Tensor, epochs: int) -> Eyes:
-    """Return a network that reads positions from pictures."""
+    """Return a network that reads positions from images."""
     eyes = Eyes(positions.shape[1])
     eyes.mean, eyes.scale = positions.mean(0), positions.std(0)
     wanted = (positions - eyes.mean) / eyes.scale
@@ -141,7 +141,7 @@ def main(config: Config) -> None:
     torch.manual_seed(config.seed)
     policy, _ = load_policy(config.policy)
     images, positions = collect(policy, config.training_episodes, config.seed)
-    log.info("%d pictures", len(images))
+    log.info("%d images", len(images))
     eyes = learn(images, positions, config.epochs)
     print("| the policy sees | success [Wilson 95 %] | median error, 95 % below [mm] |")
     print("|---|---|---|")
@@ -153,7 +153,7 @@ def main(config: Config) -> None:
         player = Seeing(policy, eyes) if quality else policy
         result = evaluate(player, env, config.episodes)
         env.close()
-        name = f"pictures, `{quality}`" if quality else "reported positions"
+        name = f"images, `{quality}`" if quality else "reported positions"
         error = ""
         if quality:
             every = 1e3 * torch.cat(player.errors)

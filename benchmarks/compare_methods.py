@@ -16,11 +16,11 @@ import sys
 from dataclasses import dataclass
 from pathlib import Path
 
-from rlco.config import option
-from rlco.metrics import read_metrics
-from rlco.plots import Curve, learning_curves, save_figure
+from rlco.reporting.plots import Curve, learning_curves, save_figure
+from rlco.reporting.statistics import mean_interval
 from rlco.run import run_recipe
-from rlco.statistics import mean_interval
+from rlco.runs.config import option
+from rlco.runs.metrics import read_metrics
 
 QUICKSTART = Path(__file__).parents[1] / "recipes" / "quickstart.py"
 METHODS = ("real_only", "sft", "rl_only", "rl_co")

@@ -14,10 +14,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rlco.physics.domain import DOMAINS, SIM, Domain
-from rlco.physics.native import NativeStepper
-from rlco.physics.task import TASK_NAMES, Task, make_task
-from rlco.statistics import wilson_interval
+from rlco.physics.native.stepper import NativeStepper
+from rlco.physics.spec.domain import DOMAINS, SIM, Domain
+from rlco.physics.spec.names import TASK_NAMES
+from rlco.physics.spec.task import Task
+from rlco.physics.tasks.make_task import make_task
+from rlco.reporting.statistics import wilson_interval
 
 COPIES = 50
 

@@ -36,8 +36,8 @@ from gap_cases import BENCHMARK_SEED, Case, make_case, plan
 from gap_scoring import Answered, judge, table
 from timed_process import run_timed
 
-from rlco.config import option
 from rlco.run import run_recipe
+from rlco.runs.config import option
 
 HERE = Path(__file__).parent
 _LONGEST = 3600.0  # [s] for one case

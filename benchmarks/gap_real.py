@@ -17,9 +17,9 @@ import real_data
 import real_servo
 import real_torques
 
-from rlco.gap.find_gap import find_gap
-from rlco.gap.free_body import FreeBody, rms_by_phase
-from rlco.gap.problem import Hypothesis
+from rlco.gap.compare.free_body import FreeBody, rms_by_phase
+from rlco.gap.compare.problem import Hypothesis
+from rlco.gap.search.find_gap import find_gap
 
 TOSS = 78 * real_data.CUBE_PERIOD  # seconds of a toss that are compared
 

@@ -27,14 +27,14 @@ from gap_recording import read_out
 from gap_scoring import judge, share_of
 from gap_search_case import answer
 
-from rlco.config import option
-from rlco.gap.find_gap import find_gap
-from rlco.gap.log import Log, Recording
+from rlco.gap.diagnose.record_next import Motion, recommend
 from rlco.gap.logs import read_log
+from rlco.gap.logs.log import Log, Recording
 from rlco.gap.make_problem import make_problem
 from rlco.gap.model import load_model
-from rlco.gap.record_next import Motion, recommend
+from rlco.gap.search.find_gap import find_gap
 from rlco.run import run_recipe
+from rlco.runs.config import option
 
 _PARTS = 4
 _NONE: dict[str, list[Any]] = {"effects": []}

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from statistics import median
 from typing import Any
 
-from rlco.statistics import wilson_interval
+from rlco.reporting.statistics import wilson_interval
 
 Row = Mapping[str, Any]
 # What a payload's target may be called where links are welded to one another.
@@ -107,7 +107,7 @@ def judge(report: Row, truth: Row) -> Score:
 
 
 def _readable(truth: Row) -> bool:
-    """Return whether the log's reader alone can see and mend what was hidden."""
+    """Return whether the log's reader alone can see and correct what was hidden."""
     return all(e["name"] == "repeated_frames" for e in truth["effects"])
 
 

@@ -15,11 +15,11 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rlco.gap.find_gap import find_gap
+from rlco.gap.compare.problem import Verdict
 from rlco.gap.logs import read_log
 from rlco.gap.make_problem import make_problem
 from rlco.gap.model import load_model
-from rlco.gap.problem import Verdict
+from rlco.gap.search.find_gap import find_gap
 
 
 def search(folder: Path, exclude: Sequence[str] = ()) -> dict[str, Any]:

@@ -29,21 +29,19 @@ from gap_cases import DEVELOPMENT_SEED
 from gap_folders import write_lerobot
 from gap_plant import Hidden
 
-from rlco.physics.domain import SIM
-from rlco.physics.native import NativeStepper
-from rlco.physics.observation import (
-    ACTION_NAMES,
-    STATE_NAMES,
-    noise_size,
-    observe,
-)
-from rlco.physics.task import SceneState, make_task
+from rlco.physics.native.stepper import NativeStepper
+from rlco.physics.spec.domain import SIM, Domain
+from rlco.physics.spec.names import ACTION_NAMES, STATE_NAMES
+from rlco.physics.spec.observation import noise_size, observe
+from rlco.physics.spec.sensors import Sensors
+from rlco.physics.spec.task import SceneState
+from rlco.physics.tasks.make_task import make_task
 
 EPISODES = 9
 _HAND_NOISE = 0.1  # of commanded moves, in parts of their range
 _HOLD = 15  # control steps kept after the task is solved
 # A good arm's repeatability, and a camera that sees objects to a millimetre.
-SENSORS = replace(SIM, name="logged", state_noise=0.0003, object_noise=0.001)
+SENSORS = Domain("logged", sensors=Sensors(state_noise=0.0003, object_noise=0.001))
 # What differs by less than this many times the sensors' noise nobody could see.
 _VISIBLE = 1.0
 _PUSHED, _PLACED, _SLIDE = "red_cube_main", "red_main", "cabinet_slide"
@@ -204,7 +202,7 @@ def _places(state: SceneState) -> Array:
 def _hide(robot: NativeStepper, effects: tuple[Hidden, ...]) -> None:
     """Write effects into the arrays of all copies' models."""
     everyone, model = np.arange(EPISODES), robot.model
-    robot.copies.restore_models(everyone)
+    robot.worlds.restore_models(everyone)
     fields: dict[str, Any] = {}
     delay = 0
 
@@ -240,8 +238,8 @@ def _apart(some: list[Episode], others: list[Episode]) -> float:
     """Return how far places part with the same actions, in sensors' noise."""
     away = [a.places - b.places for a, b in zip(some, others, strict=True)]
     size = np.sqrt((np.concatenate(away) ** 2).mean(axis=0))
-    noise = np.full(len(size), SENSORS.object_noise)
-    noise[:3] = SENSORS.state_noise
+    noise = np.full(len(size), SENSORS.sensors.object_noise)
+    noise[:3] = SENSORS.sensors.state_noise
     return float((size / noise).max())
 
 
@@ -275,7 +273,7 @@ def _truth(case: Case, shows: float) -> dict[str, Any]:
         "effects": effects,
         "seed": case.seed,
         "velocity": False,
-        "noise": SENSORS.state_noise,
+        "noise": SENSORS.sensors.state_noise,
         "quantum": 0.0,
         "episodes": EPISODES,
         "jitter": 0.0,

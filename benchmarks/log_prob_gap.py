@@ -20,18 +20,18 @@ import torch
 from tensordict import TensorDictBase
 from vla_models import INSTRUCTIONS, Actor, rows
 
-from rlco.config import option
 from rlco.data import load_demos
 from rlco.losses import log_probs
 from rlco.policies import load_policy
-from rlco.policies.lerobot_checkpoint import load_lerobot
-from rlco.policies.lerobot_policies import LeRobotPolicy
-from rlco.policies.openvla_load import load_openvla
-from rlco.policies.openvla_policy import OpenVLAPolicy
 from rlco.policies.tiny.openvla import write_tiny_openvla
 from rlco.policies.tiny.pi05 import write_tiny_pi05
 from rlco.policies.tiny.smolvla import write_tiny_smolvla
+from rlco.policies.vla.lerobot.checkpoint import load_lerobot
+from rlco.policies.vla.lerobot.policy import LeRobotPolicy
+from rlco.policies.vla.openvla.load import load_openvla
+from rlco.policies.vla.openvla.policy import OpenVLAPolicy
 from rlco.run import run_recipe
+from rlco.runs.config import option
 
 DTYPES = {"float32": torch.float32, "bfloat16": torch.bfloat16}
 

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from rlco.envs import make_env
-from rlco.physics.task import make_task
+from rlco.physics.tasks.make_task import make_task
 
 NUMBERS = (1, 4, 16, 64, 128, 256)
 CHUNK, HORIZON = 5, 50
@@ -42,7 +42,7 @@ def measure(task: str, number: int, seconds: float) -> tuple[float, float]:
     """Return resident memory [MB] and control steps a second of N copies."""
     env = make_env(task, num_envs=number)
     copies: Any = getattr(env, "stepper", None) or getattr(env, "backend")  # noqa: B009
-    size = copies.copies.control.action_size
+    size = copies.worlds.control.action_size
     rng = np.random.default_rng(0)
     took: list[float] = []
     until = np.inf  # until the first chunk is done, which loads what was compiled
@@ -76,7 +76,7 @@ def grow(task: str, seconds: float, out: str) -> None:
 
 def draw(task: str, rows: np.ndarray, folder: Path) -> None:
     """Write the figure."""
-    from rlco.plot_style import caption, new_figure, save_figure
+    from rlco.reporting.plot_style import caption, new_figure, save_figure
 
     title = f"Memory and speed with many copies of {task}"
     figure, panels = new_figure(title, 2, height=2.9)

@@ -9,14 +9,15 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.physics.domain import SIM, Domain
-from rlco.physics.global_random import seeded
-from rlco.physics.native import NativeStepper
-from rlco.physics.robosuite_batch import RobosuiteBatch
-from rlco.physics.robosuite_stepper import keep_divergence
-from rlco.physics.robosuite_tasks import make_plain
-from rlco.physics.tabletop import Tabletop
-from rlco.physics.task import TASK_NAMES, make_task
+from rlco.physics.native.robosuite_batch import RobosuiteBatch
+from rlco.physics.native.stepper import NativeStepper
+from rlco.physics.robosuite.global_random import seeded
+from rlco.physics.robosuite.stepper import keep_divergence
+from rlco.physics.robosuite.tabletop import Tabletop
+from rlco.physics.robosuite.tasks import make_plain
+from rlco.physics.spec.domain import SIM, Domain
+from rlco.physics.spec.names import TASK_NAMES
+from rlco.physics.tasks.make_task import make_task
 
 Array = NDArray[np.float64]
 KINDS = {"exact": True, "fast": False}
@@ -52,7 +53,7 @@ class RobosuitePair:
     def __init__(self, name: str, copies: int = 1) -> None:
         self.env = make_plain(name, reward_shaping=True)
         keep_divergence(self.env)
-        self.copies = copies
+        self.worlds = copies
         self.native: dict[str, Any] = {
             kind: RobosuiteBatch(
                 make_plain(name, reward_shaping=True),
@@ -69,13 +70,13 @@ class RobosuitePair:
         with seeded(seed):
             self.env.reset()
         for native in self.native.values():
-            native.reset([seed] * self.copies)
+            native.reset([seed] * self.worlds)
 
     def step(self, action: Array) -> Differences:
         """Execute a control step everywhere."""
         seen, reward, _, _ = self.env.step(action)
         success = self.env._check_success()
-        chunk = np.tile(action, (self.copies, 1, 1))
+        chunk = np.tile(action, (self.worlds, 1, 1))
         found = {kind: native.step(chunk) for kind, native in self.native.items()}
         return {
             kind: Difference(
@@ -108,7 +109,7 @@ class TaskPair:
         self.variation = variation
         self.env = Tabletop(self.task, domain, variation=variation)
         keep_divergence(self.env)
-        self.copies = copies
+        self.worlds = copies
         self.native: dict[str, Any] = {
             kind: NativeStepper(
                 self.task,
@@ -126,7 +127,7 @@ class TaskPair:
         initial = self.task.sample(np.random.default_rng(seed), self.variation)
         self.env.start(initial)
         for native in self.native.values():
-            native.reset([initial] * self.copies)
+            native.reset([initial] * self.worlds)
 
     def step(self, action: Array) -> Differences:
         """Execute a control step everywhere."""
@@ -134,7 +135,7 @@ class TaskPair:
         self.env.step(action)
         after = self.env.scene_state()
         reward = self.task.reward(before, after, "shaped")
-        chunk = np.tile(action, (self.copies, 1, 1))
+        chunk = np.tile(action, (self.worlds, 1, 1))
         found = {}
         for kind, native in self.native.items():
             state = native.step(chunk).at((0, 1))
@@ -158,7 +159,7 @@ def make_pair(name: str, copies: int = 1, domain: Domain = SIM) -> Pair:
 
 def random_action(pair: Pair, rng: np.random.Generator) -> Array:
     """Draw any action."""
-    size = pair.native["fast"].copies.control.action_size
+    size = pair.native["fast"].worlds.control.action_size
     return rng.uniform(-1.0, 1.0, size)
 
 
@@ -191,7 +192,7 @@ def anchor(pair: Pair) -> None:
     grip = pair.env.robots[0].gripper["right"].current_action
     for native in pair.native.values():
         mujoco.mj_setState(native.model, native.data[0], state, kind)
-        native.copies.memory.grip[0] = grip
+        native.worlds.memory.grip[0] = grip
 
 
 def apart(pair: Pair, kind: str, copy: int = 0) -> float:

@@ -19,10 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rlco.config import option
-from rlco.metrics import read_metrics
+from rlco.reporting.statistics import mean_interval
 from rlco.run import run_recipe
-from rlco.statistics import mean_interval
+from rlco.runs.config import option
+from rlco.runs.metrics import read_metrics
 
 QUICKSTART = Path(__file__).parents[1] / "recipes" / "quickstart.py"
 DOMAINS = ("sim", "stand_in")

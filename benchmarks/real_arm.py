@@ -13,14 +13,14 @@ from dataclasses import replace
 import numpy as np
 import real_data
 
-from rlco.gap.arm_rollouts import ArmRollouts
-from rlco.gap.comparison import DOUBT, block_test
-from rlco.gap.find_gap import find_gap
-from rlco.gap.fit import Fit, fit, library_of, with_values
-from rlco.gap.log import Array
-from rlco.gap.noise import position_noise
-from rlco.gap.problem import Candidate, Hypothesis
-from rlco.gap.record_next import recommend
+from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.compare.noise import position_noise
+from rlco.gap.compare.problem import Candidate, Hypothesis
+from rlco.gap.diagnose.record_next import recommend
+from rlco.gap.logs.log import Array
+from rlco.gap.search.comparison import DOUBT, block_test
+from rlco.gap.search.find_gap import find_gap
+from rlco.gap.search.fit import Fit, fit, library_of, with_values
 from rlco.physics.effects import AppliedEffect
 
 BANDWIDTH = 60.0  # [rad/s] of the model's servos: a lag of 33 ms

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import importlib.util
-import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -12,11 +11,10 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from rlco.gap.log import Log, Recording
+from rlco.gap.compare.problem import Verdict
 from rlco.gap.logs import read_log
+from rlco.gap.logs.log import Log, Recording
 from rlco.gap.model import LoadedModel, load_model
-from rlco.gap.problem import Verdict
-from rlco.gap.servo_plant import pendulum
 
 FOLDER = Path(__file__).parents[2] / "shared" / "data" / "real"
 # The data's unit of length is half a cube's width [m].
@@ -36,29 +34,10 @@ def present(name: str) -> bool:
     return there
 
 
-def servo() -> tuple[mujoco.MjSpec, Log]:
-    """Return the XL330 on its pendulum and its 16 runs.
-
-    The motor's numbers are those that were published with the data (BAM's class m1):
-    only a start, all of them are fitted again.
-    """
-    folder = FOLDER / "bam_xl330"
-    log = read_log(folder / "raw_xl330")
-    told = json.loads(
-        (folder / "params_with_data_commit" / "xl330_m1.json").read_text()
-    )
-    facts = log.recordings[0].facts
-    spec = pendulum(
-        mass=facts["mass"],
-        length=facts["length"],
-        volts=facts["vin"],
-        torque_constant=told["kt"],
-        resistance=told["R"],
-        armature=told["armature"],
-        damping=told["friction_viscous"],
-        frictionloss=told["friction_base"],
-    )
-    return spec, replace(log, joints=("servo",), actuators=("servo",))
+def servo() -> tuple[LoadedModel, Log]:
+    """Return the XL330 as it was published, and its 16 runs on a pendulum."""
+    loaded = load_model("bam:xl330")
+    return loaded, read_log(FOLDER / "bam_xl330" / "raw_xl330", loaded)
 
 
 def cube(tosses: Sequence[int]) -> Log:

@@ -9,14 +9,14 @@ import mujoco
 import numpy as np
 import real_data
 
-from rlco.gap.find_gap import find_gap
-from rlco.gap.fit import Fit, Library, fit, library_of
-from rlco.gap.intervals import block_bootstrap
-from rlco.gap.log import Array, Log
+from rlco.gap.compare.problem import Candidate, Hypothesis
+from rlco.gap.compare.torque.convention import torque_problem
+from rlco.gap.compare.torque.torque_log import TorqueLog
+from rlco.gap.logs.log import Array, Log
 from rlco.gap.make_problem import in_parts
-from rlco.gap.problem import Candidate, Hypothesis
-from rlco.gap.torque_convention import check_convention
-from rlco.gap.torque_log import TorqueLog
+from rlco.gap.search.find_gap import find_gap
+from rlco.gap.search.fit import Fit, Library, fit, library_of
+from rlco.gap.search.intervals import block_bootstrap
 from rlco.physics.effects import AppliedEffect
 
 USUAL = {
@@ -31,8 +31,7 @@ WRISTS = ("joint6", "joint7")
 def rows() -> list[real_data.Row]:
     """Measure, and return the rows of the table."""
     loaded, log = real_data.panda()
-    whole = TorqueLog(loaded.spec, log)
-    check_convention(whole)
+    whole = torque_problem(loaded.spec, log)
     verdict = find_gap(TorqueLog(loaded.spec, in_parts(log)))
     before, after = (
         rms(whole, residuals)

@@ -32,8 +32,8 @@ from physics_pairs import (
     touching,
 )
 
-from rlco.physics.domain import SIM, Domain, make_domain
-from rlco.physics.task import TASK_NAMES
+from rlco.physics.spec.domain import SIM, Domain, make_domain
+from rlco.physics.spec.names import TASK_NAMES
 
 TASKS = ("Lift", "Stack", "Door", "NutAssembly", *TASK_NAMES)
 NUDGE = 1e-15  # [rad]
@@ -91,7 +91,7 @@ def closeness(
 def open_loop(name: str, domain: Domain, episodes: int, steps: int) -> Curves:
     """Return how far apart trajectories are, by what differs, each [episode, step]."""
     pair = make_pair(name, 2, domain)
-    arm = pair.native["exact"].copies.control.arm_qpos
+    arm = pair.native["exact"].worlds.control.arm_qpos
     shape = (episodes, steps)
     curves = {kind: np.zeros(shape) for kind in (*KINDS, "nudged")}
     for seed in range(episodes):
@@ -131,7 +131,7 @@ def parting(
 
 def draw(found: dict[str, Curves], episodes: int, folder: Path) -> None:
     """Write the figure: medians over episodes, robosuite's tasks and rlco's."""
-    from rlco.plot_style import QUIET, caption, new_figure, save_figure
+    from rlco.reporting.plot_style import QUIET, caption, new_figure, save_figure
 
     figure, panels = new_figure("How fast trajectories part", 2, height=3.6)
     for axis, ours in zip(panels, (False, True), strict=True):

@@ -17,8 +17,8 @@ import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
-from rlco.config import option
 from rlco.run import run_recipe
+from rlco.runs.config import option
 
 RECIPES = Path(__file__).parents[1] / "recipes"
 BACKENDS = ("native", "robosuite")

@@ -17,13 +17,14 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from rlco.physics.domain import SIM
-from rlco.physics.global_random import seeded
-from rlco.physics.native import NativeStepper
-from rlco.physics.robosuite_batch import RobosuiteBatch
-from rlco.physics.robosuite_tasks import make_plain
-from rlco.physics.tabletop import Tabletop
-from rlco.physics.task import TASK_NAMES, make_task
+from rlco.physics.native.robosuite_batch import RobosuiteBatch
+from rlco.physics.native.stepper import NativeStepper
+from rlco.physics.robosuite.global_random import seeded
+from rlco.physics.robosuite.tabletop import Tabletop
+from rlco.physics.robosuite.tasks import make_plain
+from rlco.physics.spec.domain import SIM
+from rlco.physics.spec.names import TASK_NAMES
+from rlco.physics.tasks.make_task import make_task
 
 COPIES, STEPS, EPISODES = 16, 10, 4
 TASKS = (*TASK_NAMES, "Lift", "Stack", "Door", "NutAssembly")
@@ -71,7 +72,7 @@ def native_side(task: str, **options: Any) -> Side:
 def bare_side(task: str) -> Side:
     """Return a round of nothing but MuJoCo: the arm is held, nothing is computed."""
     copies, start = native(task, threads=1)
-    control = copies.copies.control
+    control = copies.worlds.control
 
     def run() -> None:
         for data in copies.data:

@@ -11,9 +11,9 @@ from torch import nn
 from torch.utils.flop_counter import FlopCounterMode
 from vla_models import OPENVLA_7B, OnMeta, pi05_config
 
-from rlco.policies.lerobot_flow import velocity_given
-from rlco.policies.lerobot_pi05 import Pi05Model
-from rlco.policies.openvla_model import OpenVLA
+from rlco.policies.vla.lerobot.flow_model import velocity_given
+from rlco.policies.vla.lerobot.pi05 import Pi05Model
+from rlco.policies.vla.openvla.model import OpenVLA
 
 STEPS = 4
 TEXT = 20  # tokens of a prompt of OpenVLA

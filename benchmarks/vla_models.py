@@ -14,19 +14,19 @@ from lerobot.policies.pi05.modeling_pi05 import PI05Policy, PI05Pytorch
 from lerobot.policies.pretrained import PreTrainedPolicy
 from tensordict import TensorDict, TensorDictBase
 
-from rlco.policies.lerobot_checkpoint import LeRobotCheckpoint, load_lerobot
-from rlco.policies.lerobot_pi05 import Pi05Model
-from rlco.policies.lerobot_policies import LeRobotPolicy
-from rlco.policies.lerobot_trained import add_expert_lora
-from rlco.policies.lora import add_lora
-from rlco.policies.openvla_config import VISION, OpenVLAConfig
-from rlco.policies.openvla_load import load_openvla
-from rlco.policies.openvla_model import OpenVLA
-from rlco.policies.openvla_policy import OpenVLAPolicy
 from rlco.policies.tiny.openvla import write_tiny_openvla
 from rlco.policies.tiny.pi05 import write_tiny_pi05
 from rlco.policies.tiny.processor_tiny_pi05 import make_tiny_pi05_pre_post_processors
 from rlco.policies.tiny.tokenizer import write_tokenizer
+from rlco.policies.vla.lerobot.checkpoint import LeRobotCheckpoint, load_lerobot
+from rlco.policies.vla.lerobot.pi05 import Pi05Model
+from rlco.policies.vla.lerobot.policy import LeRobotPolicy
+from rlco.policies.vla.lerobot.trained_weights import add_expert_lora
+from rlco.policies.vla.lora import add_lora
+from rlco.policies.vla.openvla.config import VISION, OpenVLAConfig
+from rlco.policies.vla.openvla.load import load_openvla
+from rlco.policies.vla.openvla.model import OpenVLA
+from rlco.policies.vla.openvla.policy import OpenVLAPolicy
 
 INSTRUCTIONS = ("push the blue cube onto its mark",)
 OPENVLA_7B = OpenVLAConfig(

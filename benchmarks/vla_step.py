@@ -34,11 +34,12 @@ from vla_models import (
     tiny_pi05,
 )
 
-from rlco.config import option
-from rlco.losses import CoTrainingLoss, ImitationLoss, MasterWeightAdamW, log_probs
-from rlco.policies.prefix_cache import with_prefixes
-from rlco.policies.prefix_critic import PrefixCritic
+from rlco.losses import CoTrainingLoss, ImitationLoss, log_probs
+from rlco.policies.vla.prefix_cache import with_prefixes
+from rlco.policies.vla.prefix_critic import PrefixCritic
 from rlco.run import run_recipe
+from rlco.runs.config import option
+from rlco.training import MasterWeightAdamW
 
 #: Dense bfloat16 [operations a second] by a part of the device's name.
 PEAKS = {"H200": 989e12, "H100": 989e12, "A100": 312e12}

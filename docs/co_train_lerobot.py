@@ -10,12 +10,13 @@ from torchrl.objectives import ClipPPOLoss
 from rlco.collectors import RolloutCollector, check_signal
 from rlco.data import load_demos
 from rlco.envs import make_env
-from rlco.losses import CoTrainingLoss, ImitationLoss, MasterWeightAdamW, log_probs
-from rlco.physics.task import make_task
-from rlco.policies.lerobot_checkpoint import load_lerobot
-from rlco.policies.lerobot_export import save_lerobot
-from rlco.policies.lerobot_policies import LeRobotPolicy
-from rlco.policies.prefix_critic import PrefixCritic, add_next_summaries
+from rlco.losses import CoTrainingLoss, ImitationLoss, log_probs
+from rlco.physics.tasks.make_task import make_task
+from rlco.policies.vla.lerobot.checkpoint import load_lerobot
+from rlco.policies.vla.lerobot.export import save_lerobot
+from rlco.policies.vla.lerobot.policy import LeRobotPolicy
+from rlco.policies.vla.prefix_critic import PrefixCritic, add_next_summaries
+from rlco.training import MasterWeightAdamW
 
 
 def imitate(source, sim, real, target, task="push_cube", alpha=0.5, updates=1000):

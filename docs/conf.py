@@ -16,11 +16,12 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
-    "sphinx.ext.mathjax",
+    "sphinx-mathjax-offline",  # formulas are drawn without a network
     "sphinx_copybutton",
 ]
-exclude_patterns = ["_build"]
+exclude_patterns = ["_build", "example"]
 html_theme = "furo"
+html_static_path = ["gallery"]
 html_title = "rlco"
 
 myst_enable_extensions = ["colon_fence", "dollarmath"]

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import mujoco
-import numpy as np
 
 from rlco.physics.effects import Effect, Parameter, register
 from rlco.physics.effects.targets import holding_torque, joints
@@ -16,11 +17,15 @@ def parameters(model: mujoco.MjModel, target: str | None) -> tuple[Parameter, ..
     return (Parameter("drag", "N m s2/rad2", 0.0, 10.0 * torque, 0.0, starts),)
 
 
-def on_spec(spec: mujoco.MjSpec, target: str | None, values: np.ndarray) -> None:
-    """Change the model before it is compiled: MuJoCo's damping is a polynomial."""
-    damping = np.array(spec.joint(target).damping, dtype=float)
-    damping[1] += values[0]
-    spec.joint(target).damping = damping
+def drag(
+    position: float,
+    velocity: float,
+    torque: float,
+    carried: float,
+    values: Sequence[float],
+) -> float:
+    """Return the torque that it adds to the joint at each physics step [N m]."""
+    return -values[0] * abs(velocity) * velocity
 
 
 register(
@@ -31,6 +36,6 @@ register(
         confused_with=("viscous_damping", "velocity_limit"),
         targets=joints,
         parameters=parameters,
-        on_spec=on_spec,
+        torque=drag,
     )
 )

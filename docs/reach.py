@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlco.physics.domain import Domain
-from rlco.physics.push_cube import HOME, HOME_NOISE, TABLE_HEIGHT
-from rlco.physics.task import Array, InitialState, SceneState, Task
+from rlco.physics.spec.domain import Domain
+from rlco.physics.spec.task import Array, InitialState, SceneState, Task
+from rlco.physics.tasks.push_cube import HOME, HOME_NOISE, TABLE_HEIGHT
 
 
 def make_objects(domain: Domain, variation: str | None = None) -> list[object]:

@@ -3,12 +3,12 @@
     uv run recipes/close_loop.py
     uv run recipes/close_loop.py hidden=effects.yaml seeds=[0]
 
-An effect that no simulator here is told of is added to ``stand_in``, the second
-simulator that plays the robot's part; no robot moves. Logs are recorded there, of joint
-positions and torques while the arm moves freely. find_gap.py compares them with the
-simulator as it is known and writes effects.yaml. Then three policies imitate the same
-number of demonstrations of the same expert, recorded in the nominal simulator, in the
-mended one, and where the effect is (oracle), and are compared where the effect is.
+An effect that no simulator here knows of is added to ``stand_in``, the second simulator
+that plays the robot's part; no robot moves. Logs are recorded there, of joint positions
+and torques while the arm moves freely. The gap workflow, that of find_gap.py, compares
+them with the simulator as it is known and writes effects.yaml. Then three policies
+imitate as many demonstrations of the same expert, recorded in the nominal simulator, in
+the corrected one, and where the effect is (oracle); they are compared there.
 """
 
 from __future__ import annotations
@@ -19,13 +19,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import find_gap
-import record_demos
-import sft
-from policy_options import KindOptions, shared
-
-from rlco.config import option
 from rlco.run import Run, run_recipe
+from rlco.runs.config import option
+from rlco.training.policy_options import KindOptions, group_values
+from rlco.training.stage_one import StageOneOptions
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -33,11 +30,11 @@ if TYPE_CHECKING:
     import numpy as np
 
     from rlco.physics.effects import AppliedEffect
-    from rlco.physics.task import Array, SceneState
-    from rlco.statistics import ResultRow
+    from rlco.physics.spec.task import Array, SceneState
+    from rlco.reporting.statistics import ResultRow
 
 log = logging.getLogger("rlco.close_loop")
-METHODS = ("nominal", "mended", "oracle")
+METHODS = ("nominal", "corrected", "oracle")
 ROWS = 100  # of a recording in a second
 # Recordings start about this posture, above the table and far from the joints' limits,
 # at most so far from it [rad].
@@ -53,7 +50,10 @@ class Config(KindOptions):
 
     name: str = option("close_loop", "name of the run, a part of its folder's name")
     task: str = option("push_cube", "name of the task")
-    simulator: str = option("stand_in", "domain in which all else takes place")
+    simulator: str = option(
+        "stand_in",
+        "domain in which all else takes place: a name, MODULE:NAME, or an effects.yaml",
+    )
     hidden: str | None = option(
         None, "effects.yaml of what is hidden; null: a joint's encoder off by 3 degrees"
     )
@@ -63,6 +63,9 @@ class Config(KindOptions):
     demos: int = option(40, "demonstrations for each policy", minimum=1)
     updates: int = option(1500, "optimiser steps for each policy", minimum=1)
     eval_episodes: int = option(128, "episodes of the comparison", minimum=1)
+    effects_code: str | None = option(
+        None, "Python file that registers effects of your own"
+    )
 
 
 def hide(config: Config, path: Path) -> list[AppliedEffect]:
@@ -80,18 +83,18 @@ def hide(config: Config, path: Path) -> list[AppliedEffect]:
 
 
 def record_logs(config: Config, hidden: Path, folder: Path) -> None:
-    """Let the arm move freely where the effect is; write NPZ files of what it tells.
+    """Let the arm move freely where the effect is; write NPZ files of what it reports.
 
-    Each row has the joint positions that the encoders tell, with a noise of 0.1 mrad,
+    Each row has the joint positions that the encoders report, with a noise of 0.1 mrad,
     and the torques that the controller sent to the joints, with one of 0.05 N m.
     """
     from dataclasses import replace
 
     import numpy as np
 
-    from rlco.physics.domain import make_domain
-    from rlco.physics.native import NativeStepper
-    from rlco.physics.task import make_task
+    from rlco.physics.native.stepper import NativeStepper
+    from rlco.physics.spec.domain import make_domain
+    from rlco.physics.tasks.make_task import make_task
 
     # A torque that is read once in a longer control step is off by what damping has
     # taken since that step began; so each physics step, of 2 ms, is one.
@@ -105,7 +108,7 @@ def record_logs(config: Config, hidden: Path, folder: Path) -> None:
     first = [replace(task.sample(rng, None), joint_position=q) for q in postures]
     stepper.reset(first)
     drive = free_motion(stepper.reported_state(), rng)
-    arm = stepper.copies.control.arm_ctrl
+    arm = stepper.worlds.control.arm_ctrl
     position, torque = np.zeros((2, rows, count, arm.size))
     for row in range(rows):
         action = drive(row / ROWS, stepper.reported_state())
@@ -137,7 +140,7 @@ def free_motion(
     """
     import numpy as np
 
-    from rlco.physics.rotations import rotation_vector
+    from rlco.physics.mj.rotations import rotation_vector
 
     count = len(start.tool_position)
     pace = 2.0 * np.pi * rng.uniform(0.14, 0.26, (count, 6))  # [rad/s]
@@ -156,71 +159,88 @@ def free_motion(
 
 def write_model(config: Config, path: Path) -> None:
     """Write the simulator's model as it is known, without what is hidden."""
-    from rlco.physics.tabletop import make_robosuite
+    from rlco.gap import load_model
+    from rlco.gap.correct.corrected_files import corrected_xml
+    from rlco.physics.effects.names import in_model
+    from rlco.physics.tasks.plain_robosuite import make_robosuite
 
     env = make_robosuite(config.task, domain=config.simulator)
     path.write_text(env.edit_model_xml(env.model.get_xml()))
+    # The effects of the simulator's domain are known, too.
+    loaded = load_model(path)
+    effects = in_model(env.domain.model_effects, loaded.model)
+    path.write_text(corrected_xml(loaded, effects, path.parent))
 
 
 def find(config: Config, run: Run, hidden: Path) -> Path:
     """Record, find the gap, and return what was found."""
+    from rlco.gap import run_gap
+    from rlco.runs.run_folder import command_line
+
     logs, model, out = (run.path / name for name in ("logs", "nominal.xml", "gap"))
     if not (out / "report.html").exists():
         for old in (logs, out):
             shutil.rmtree(old, ignore_errors=True)
         record_logs(config, hidden, logs)
         write_model(config, model)
-        find_gap.main(find_gap.Config(model=str(model), data=str(logs), out=str(out)))
+        finding = run_gap(model, logs)
+        if not finding.complete:
+            raise KeyboardInterrupt
+        for line in finding.summary():
+            log.info("%s", line)
+        finding.write(out, command=command_line())
     return out / "effects.yaml"
 
 
 def train(config: Config, run: Run, method: str, seed: int, effects: str | None) -> Any:
     """Record demonstrations under these effects, and imitate them."""
+    from rlco.data import record_once
+    from rlco.training.stage_one import load_stage_one, train_stage_one
+
     name = f"{method}_s{seed}"
     demos = run.path / "demos" / name
-    if not demos.exists():
-        # A recording that was cut off is made anew, under another name until whole.
-        part = demos.with_suffix(".part")
-        shutil.rmtree(part, ignore_errors=True)
-        record_demos.record(
-            record_demos.Config(
-                out=str(part),
-                task=config.task,
-                domain=config.simulator,
-                episodes=config.demos,
-                effects=effects,
-                seed=600_000 + seed,  # far from the seeds of evaluations
-            )
-        )
-        part.rename(demos)
-    options = sft.Config(
-        name=method,
-        seed=seed,
-        threads=config.threads,
-        task=config.task,
-        sim_demos=str(demos),
-        sim_ratio=1.0,
-        updates=config.updates,
-        **shared(config, KindOptions),
+    record_once(
+        demos,
+        config.task,
+        config.simulator,
+        episodes=config.demos,
+        effects=effects,
+        seed=600_000 + seed,  # far from the seeds of evaluations
     )
-    data = sft.load(options)
+    options = stage_one(config, name=method, seed=seed, sim_demos=str(demos))
+    data = load_stage_one(options)
     (run.path / "stages").mkdir(exist_ok=True)
     with run.stage(options, "sft", f"stages/{name}") as stage:
-        return sft.train(options, stage, data)
+        return train_stage_one(options, stage, data)
+
+
+def stage_one(config: Config, **given: Any) -> StageOneOptions:
+    """Return the options of a run of Stage I, of simulated demonstrations alone."""
+    return StageOneOptions(
+        threads=config.threads,
+        task=config.task,
+        sim_ratio=1.0,
+        updates=config.updates,
+        effects_code=config.effects_code,
+        **given,
+        **group_values(config, KindOptions),
+    )
 
 
 def compare(config: Config, run: Run, found: Path, hidden: Path) -> list[ResultRow]:
     """Train by every method and seed, and evaluate where the effect is."""
     from rlco.evaluation import EVALUATION_SEED, evaluate, evaluation_env
+    from rlco.physics.spec.domain import make_domain
 
-    effects = {"nominal": None, "mended": str(found), "oracle": str(hidden)}
+    domain = make_domain(config.simulator)
+    effects = {"nominal": None, "corrected": str(found), "oracle": str(hidden)}
     rows = []
     for seed in config.seeds:
         for method in METHODS:
             policy = train(config, run, method, seed, effects[method])
             env = evaluation_env(
                 config.task,
-                config.simulator,
+                domain,
                 chunk=policy.chunk,
                 episodes=config.eval_episodes,
                 effects=str(hidden),
@@ -228,20 +248,15 @@ def compare(config: Config, run: Run, found: Path, hidden: Path) -> list[ResultR
             )
             result = evaluate(policy, env, config.eval_episodes)
             log.info("seed %d, %-7s: %s", seed, method, result)
-            rows.append(
-                result.row(
-                    method,
-                    config.simulator,
-                    seed,
-                    task=config.task,
-                    policy=policy.kind,
-                )
+            row = result.row(
+                method, domain.name, seed, task=config.task, policy=policy.kind
             )
+            rows.append(row)
     return rows
 
 
 def shrinkage(rows: list[ResultRow]) -> tuple[float, float]:
-    """Return what the nominal policies lose to the oracle, and how much is mended.
+    """Return what the nominal policies lose to the oracle, and how much is won back.
 
     Returns:
         The loss of success, mean over seeds, and the share of it that is gone.
@@ -250,21 +265,25 @@ def shrinkage(rows: list[ResultRow]) -> tuple[float, float]:
         method: [r["successes"] / r["episodes"] for r in rows if r["method"] == method]
         for method in METHODS
     }
-    nominal, mended, oracle = (sum(rates[m]) / len(rates[m]) for m in METHODS)
+    nominal, corrected, oracle = (sum(rates[m]) / len(rates[m]) for m in METHODS)
     loss = oracle - nominal
-    return loss, (mended - nominal) / loss if loss > 0 else float("nan")
+    return loss, (corrected - nominal) / loss if loss > 0 else float("nan")
 
 
 def main(config: Config) -> None:
     """Run the loop, and write the report."""
-    from rlco import plots
-    from rlco.physics.domain import make_domain
-    from rlco.physics.task import make_task
-    from rlco.report import write_report
+    from rlco.evaluation import evaluation_domains
+    from rlco.physics.effects import load_code
+    from rlco.physics.tasks.make_task import make_task
+    from rlco.reporting import plots
+    from rlco.reporting.report import write_report
+    from rlco.training.stage_one import new_policy
 
+    # What is wrong shows before a folder is made.
+    load_code(config.effects_code)
     make_task(config.task)
-    make_domain(config.simulator)
-    sft.new_policy(sft.Config(task=config.task, **shared(config, KindOptions)))
+    (simulator,) = evaluation_domains(config.task, [config.simulator])
+    new_policy(stage_one(config))
     with Run(config, "close_loop") as run:
         hidden = run.path / "hidden.yaml"
         effects = hide(config, hidden)
@@ -274,19 +293,19 @@ def main(config: Config) -> None:
         run.save_results(rows)
         plots.save_figure(plots.success_bars(rows), run.plots / "success.png")
         loss, gone = shrinkage(rows)
-    told = "; ".join(f"{e.name} {e.target} {dict(e.parameters)}" for e in effects)
-    said = (
+    listed = "; ".join(f"{e.name} {e.target} {dict(e.parameters)}" for e in effects)
+    result = (
         f"Success where the effect is: trained in the nominal simulator it is "
         f"{100 * loss:.0f} points below training where the effect is; "
-        f"{100 * gone:.0f} % of that is won back in the mended simulator."
+        f"{100 * gone:.0f} % of that is won back in the corrected simulator."
     )
-    log.info(said)
+    log.info(result)
     report = write_report(
         run.path,
         notes=[
-            f"Hidden in {config.simulator}: {told}.",
-            said,
-            f"{config.simulator} is a simulator that plays the robot's part. "
+            f"Hidden in {simulator}: {listed}.",
+            result,
+            f"{simulator} is a simulator that plays the robot's part. "
             "No robot moved for this report.",
         ],
     )

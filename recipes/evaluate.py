@@ -3,6 +3,7 @@
 Every policy meets the same episodes, so two runs of this can be compared:
 
     uv run recipes/evaluate.py policy=outputs/rl_co/RUN/policy domain=stand_in
+    uv run recipes/evaluate.py policy=... domain=gap_report/effects.yaml
     uv run recipes/evaluate.py policy=... variation=camera
     uv run recipes/evaluate.py policy=... videos=3        # needs an OpenGL library
 """
@@ -11,10 +12,10 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
-from rlco.config import REQUIRED, RunOptions, option
 from rlco.run import Run, run_recipe
+from rlco.runs.config import REQUIRED, RunOptions, option
 
 log = logging.getLogger("rlco.evaluate")
 
@@ -27,47 +28,66 @@ class Config(RunOptions):
     policy: str = option(REQUIRED, "folder of a saved policy")
     method: str = option("policy", "what to call it in results.json")
     task: str = option("push_cube", "name of the task")
-    domain: str = option("sim", "where to play: sim or stand_in")
+    domain: str = option(
+        "sim",
+        "where to play: sim, stand_in, MODULE:NAME, or the path of an effects.yaml",
+    )
     variation: str | None = option(
         None, "unseen variation: shapes, colours, initial_states, distractors, camera"
     )
-    effects: str | None = option(None, "effects.yaml: what to add to the simulator")
+    effects: str | None = option(
+        None, "effects.yaml: what to add to the domain's simulator"
+    )
     backend: Literal["native", "robosuite"] = option("native", "who steps the model")
     episodes: int = option(256, "episodes, the first ones of the seed", minimum=1)
     videos: int = option(0, "episodes to film", minimum=0)
+    effects_code: str | None = option(
+        None, "Python file that registers effects of your own"
+    )
 
 
 def main(config: Config) -> None:
     """Evaluate, film, and write results.json."""
-    from policy_options import check_pictures
-
-    from rlco.evaluation import EVALUATION_SEED, evaluate, evaluation_env, record_video
-    from rlco.physics.camera import check_rendering
-    from rlco.physics.named_task import named_task
+    from rlco.evaluation import (
+        EVALUATION_SEED,
+        evaluate,
+        evaluation_domains,
+        evaluation_env,
+        record_video,
+    )
+    from rlco.physics.effects import load_code
+    from rlco.physics.tasks.named_task import named_task
     from rlco.policies import load_task_policy
+    from rlco.training.policy_options import check_filmed, check_rendered
 
+    load_code(config.effects_code)
+    (domain,) = evaluation_domains(config.task, [config.domain]).values()
     if config.videos:
-        check_rendering()
+        check_filmed(config.task)
     policy = load_task_policy(config.policy, named_task(config.task))
-    check_pictures(policy, config.task)
+    check_rendered(policy, config.task)
+    # What is filmed is what is counted.
+    options: dict[str, Any] = {
+        "chunk": policy.chunk,
+        "backend": config.backend,
+        "variation": config.variation,
+        "effects": config.effects,
+        "seed": EVALUATION_SEED + config.seed,
+    }
     env = evaluation_env(
         config.task,
-        config.domain,
-        chunk=policy.chunk,
+        domain,
         episodes=config.episodes,
-        backend=config.backend,
-        variation=config.variation,
-        effects=config.effects,
         image_size=policy.image_size,
-        seed=EVALUATION_SEED + config.seed,
+        **options,
     )
     with Run(config, "evaluate") as run:
         result = evaluate(policy, env, config.episodes)
-        where = config.domain + (f", {config.variation}" if config.variation else "")
+        where = domain.name + (f", {config.variation}" if config.variation else "")
         log.info("%s in %s: %s", config.method, where, result)
         row = result.row(
             config.method,
-            config.domain,
+            domain.name,
             config.seed,
             task=config.task,
             policy=policy.kind,
@@ -75,16 +95,14 @@ def main(config: Config) -> None:
         )
         run.save_results([row])
         for index in range(config.videos):
-            path = run.videos / f"{config.domain}_{index}.mp4"
+            path = run.videos / f"{domain.name}_{index}.mp4"
             record_video(
                 policy,
                 config.task,
-                config.domain,
+                domain,
                 path,
-                chunk=policy.chunk,
                 index=index,
-                variation=config.variation,
-                seed=EVALUATION_SEED + config.seed,
+                **options,
             )
             log.info("video: %s", path)
 

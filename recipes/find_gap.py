@@ -1,36 +1,33 @@
-"""Find where a simulated robot and its recordings disagree, name it, and mend it.
+"""Find where a simulated robot and its recordings disagree, name it, and correct it.
 
     uv run recipes/find_gap.py model=arm.xml data=logs out=gap_report
     uv run recipes/find_gap.py model=arm.xml data=run.csv angles=degrees out=report
     uv run recipes/find_gap.py model=arm.xml data=logs rename=j1:joint1,j2:joint2 out=r
+    uv run recipes/find_gap.py model=bam:xl330 data=bam_logs out=servo_report
 
 Into `out` it writes report.html for people, report.json for programs, model.xml and
-model.diff with what was found in the model, and effects.yaml for `make_env(effects=)`.
+model.diff with what was found in the model, and effects.yaml, a domain for
+`make_env(domain=)` and the other recipes.
 Ctrl-C ends the search and writes the best so far.
 """
 
 from __future__ import annotations
 
 import logging
-import runpy
 import signal
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
-from rlco.config import REQUIRED, option
-from rlco.errors import RlcoError
-from rlco.options import rename_map
+from rlco.errors import ConfigError, RlcoError
 from rlco.run import run_recipe
-
-if TYPE_CHECKING:
-    from rlco.gap.model import LoadedModel
-    from rlco.gap.problem import Problem, Verdict
-    from rlco.gap.where import Where
+from rlco.runs.config import REQUIRED, option
+from rlco.runs.options import rename_map
+from rlco.runs.run_folder import command_line
 
 log = logging.getLogger("rlco.find_gap")
 
@@ -41,14 +38,23 @@ _WRITING = 60.0  # [s] after a Ctrl-C in which the next ones are not heeded
 class Config:
     """Options of find_gap.py."""
 
-    model: str = option(REQUIRED, "MJCF file, or robosuite:TASK")
-    data: str = option(REQUIRED, "recordings: LeRobot folder, CSV, NPZ, rosbag2, JSON")
+    model: str = option(REQUIRED, "MJCF file, robosuite:TASK, or bam:SERVO")
+    data: str = option(REQUIRED, "recordings: LeRobot, CSV, NPZ, rosbag2, JSON")
     out: str = option(REQUIRED, "new folder for the report")
     rename: str = option("", "names in the data: THEIRS:OURS,THEIRS:OURS")
     angles: Literal["degrees", "radians"] | None = option(
-        None, "unit of angles in the data; null: told from their size"
+        None, "unit of angles in the data; null: inferred from their size"
     )
-    effects: str | None = option(None, "Python file that registers effects of your own")
+    compare: Literal["positions", "torques", "both"] | None = option(
+        None,
+        "what is compared: positions under commands, torques, or both, each with a "
+        "search of its own; null: positions where there are commands, and torques as a "
+        "check",
+    )
+    effects_code: str | None = option(
+        None, "Python file that registers effects of your own"
+    )
+    effects: str | None = option(None, "the same, by its former name")
     spread: float = option(
         0.03, "how far off any number of the model may be", minimum=0, maximum=0.5
     )
@@ -57,144 +63,76 @@ class Config:
 
 def main(config: Config) -> None:
     """Read, compare, search, write."""
-    from rlco.gap.logs import read_log
-    from rlco.gap.make_problem import make_problem
-    from rlco.gap.model import load_model
+    from rlco.gap import run_gap
 
-    refuse_existing(config.out)
-    if config.effects:
-        register_effects(config.effects)
-    loaded = load_model(config.model)
-    recordings = read_log(
-        config.data, loaded, rename=rename_map(config.rename), angles=config.angles
-    )
-    for note in recordings.notes:
-        log.info("note: %s", note)
-    problem = make_problem(loaded, recordings, threads=config.threads)
-    out = new_folder(config.out)
-    try:
-        with one_interrupt():
-            complete = find_and_write(config, loaded, problem, out)
-    finally:
-        if not any(out.iterdir()):
-            out.rmdir()  # nothing was found yet, so the same command may run again
-    if not complete:
+    if config.effects and config.effects_code:
+        raise ConfigError(["effects= is effects_code= by its former name; give one"])
+    with new_folder(config.out) as out, one_interrupt():
+        with progress_bar() as progress:
+            finding = run_gap(
+                config.model,
+                config.data,
+                rename=rename_map(config.rename),
+                angles=config.angles,
+                spread=config.spread,
+                compare=config.compare,
+                effects_code=config.effects_code or config.effects,
+                threads=config.threads,
+                progress=progress,
+            )
+        for line in finding.summary():
+            log.info("%s", line)
+        log.info("report: %s", finding.write(out, command=command_line()))
+    if not finding.complete:
         raise KeyboardInterrupt
 
 
-def find_and_write(
-    config: Config, loaded: LoadedModel, problem: Problem, out: Path
-) -> bool:
-    """Search, write everything into `out`; return whether the search was complete."""
-    from rlco.gap.mend import write_mend
-    from rlco.gap.record_next import recommend
-    from rlco.gap.regimes import label_regimes
-    from rlco.gap.report_html import Page, page
-    from rlco.gap.report_json import report
-    from rlco.gap.where import where
-    from rlco.run_folder import command_line, write_json, write_text
-
-    labels = label_regimes(problem)
-    before = where(problem, labels=labels)
-    say_where(before)
-    verdict = search(problem, config)
-    # First what programs read: nothing that goes wrong later can take it away.
-    write_json(out / "report.json", report(verdict, before, problem.model))
-    say_verdict(verdict, before)
-    write_mend(loaded, verdict, out)
-    motions = recommend(problem, verdict) if verdict.complete else []
-    following = [motion.save(out) for motion in motions]
-    write_json(out / "report.json", report(verdict, before, problem.model, following))
-    source = Page(problem, verdict, before, labels, following, command_line(), FILES)
-    write_text(out / "report.html", page(source))
-    log.info("report: %s", out / "report.html")
-    return verdict.complete
-
-
-FILES = {
-    "report.json": "the verdict for programs",
-    "model.xml": "the model with the effects in it that MJCF can hold",
-    "model.diff": "what changed in it",
-    "effects.yaml": "all effects, for make_env(effects=) and its training",
-}
-
-
-def search(problem: Problem, config: Config) -> Verdict:
-    """Search with a progress bar."""
+@contextmanager
+def progress_bar() -> Iterator[Callable[[str, float], None]]:
+    """Give what shows progress, as a bar from when the search begins."""
     from tqdm import tqdm
 
-    from rlco.gap.find_gap import find_gap
-    from rlco.gap.nothing_yet import nothing_yet
-
     bar_format = "{desc} {percentage:3.0f}% |{bar}| {elapsed} {postfix}"
-    with tqdm(total=100, desc="search", bar_format=bar_format, disable=None) as bar:
+    bars = []
 
-        def on_step(said: str, part: float) -> None:
-            bar.n = min(100, round(100 * part))
-            bar.set_postfix_str(said)
+    def progress(said: str, part: float) -> None:
+        if not bars:
+            bar = tqdm(total=100, desc="search", bar_format=bar_format, disable=None)
+            bars.append(bar)
+        bars[0].n = min(100, round(100 * part))
+        bars[0].set_postfix_str(said)
 
-        try:
-            return find_gap(problem, spread=config.spread, on_step=on_step)
-        except KeyboardInterrupt:  # so early that it had nothing to give back
-            return nothing_yet(problem)
-
-
-def say_where(before: Where) -> None:
-    """Print where the model as it is disagrees most."""
-    from rlco.gap.words import amount, place
-
-    units = dict(zip(before.channels, before.units, strict=True))
-    cells = before.telling[:4]
-    log.info("before any fit, the disagreement is" if cells else "no disagreement")
-    for cell in cells:
-        size = amount(cell.rms, units[cell.target])
-        log.info("  %3.0f %% in %s (%s)", 100 * cell.share, place(cell), size)
+    try:
+        yield progress
+    finally:
+        for bar in bars:
+            bar.close()
 
 
-def say_verdict(verdict: Verdict, before: Where) -> None:
-    """Print the verdict in a few lines."""
-    from rlco.gap.words import certainty, headline, numbers_of, title
-
-    log.info("%s: %s", verdict.verdict, headline(verdict, before))
-    for finding in verdict.effects:
-        for name, value, ends in numbers_of(finding):
-            log.info("  %s: %s %s (%s)", title(finding), name, value, ends)
-    for line in certainty(verdict):
-        log.info("  %s", line)
-
-
-def register_effects(path: str) -> None:
-    """Run a Python file that registers effects."""
-    from rlco.physics.effects import EFFECTS
-
-    if not Path(path).is_file():
-        raise RlcoError(f"effects={path!r} is no file; give a Python file.")
-    known = len(EFFECTS)
-    runpy.run_path(path)
-    if len(EFFECTS) == known:
-        raise RlcoError(f"effects={path!r} registers no effect; call register(Effect).")
-
-
-def refuse_existing(out: str) -> None:
-    """Refuse to overwrite."""
-    if Path(out).exists():
+@contextmanager
+def new_folder(out: str) -> Iterator[Path]:
+    """Make the output folder, and take it away again where nothing came into it."""
+    path = Path(out)
+    if path.exists():
         raise RlcoError(
             f"output folder {out!r} exists and is not overwritten; give another "
             "out=DIR."
         )
-
-
-def new_folder(out: str) -> Path:
-    """Make the output folder."""
-    refuse_existing(out)
+    made = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
-        Path(out).mkdir(parents=True)
+        path.mkdir(parents=True)
     except OSError as error:
         raise RlcoError(
             f"output folder {out!r} cannot be made ({error.strerror}); give another "
             "out=DIR."
         ) from error
-    return Path(out)
+    try:
+        yield path
+    finally:
+        for folder in made:  # so that the same command may run again
+            if any(folder.iterdir()):
+                break
+            folder.rmdir()
 
 
 @contextmanager
@@ -218,4 +156,4 @@ def one_interrupt() -> Iterator[None]:
 
 
 if __name__ == "__main__":
-    run_recipe(main, Config)
+    run_recipe(main, Config, loads="mujoco")

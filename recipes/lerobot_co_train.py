@@ -13,17 +13,19 @@ train it on both kinds of demonstrations first (docs/vla.md says how).
 from __future__ import annotations
 
 import logging
-import time
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-from lerobot_stage_two import load_real, make_learner, statistics_of
-
-from rlco import keys
-from rlco.config import REQUIRED, RunOptions, option
 from rlco.errors import ConfigError
 from rlco.run import Run, run_recipe
+from rlco.runs.config import REQUIRED, RunOptions, option
+from rlco.training.policy_options import LARGEST_LR
+
+if TYPE_CHECKING:
+    from rlco.physics.spec.domain import Domain
+    from rlco.policies.vla.lerobot.policy import LeRobotPolicy
+    from rlco.training.large_learner import LargeLearner
 
 log = logging.getLogger("rlco.lerobot_co_train")
 
@@ -35,7 +37,10 @@ class Config(RunOptions):
     name: str = option("co_train", "name of the run, a part of its folder's name")
     policy: str = option(REQUIRED, "LeRobot's folder pretrained_model")
     tokenizer: str | None = option(
-        None, "folder of the tokenizer, where there is no network"
+        None, "folder of the tokenizer, for machines without network"
+    )
+    allow_code: list[str] = option(
+        [], "code of yours that its files may name, my_module.MyStep; it runs"
     )
     device: str | None = option(None, "cpu or cuda; null: the checkpoint's, or what is")
     camera: str | None = option(
@@ -77,10 +82,10 @@ class Config(RunOptions):
         "mean", "of a chain's terms: their mean, as RLinf has it, or their sum"
     )
     log_prob_level: Literal["chunk", "action", "token"] = option(
-        "chunk", "what has a ratio of its own: a decision, a step, a number"
+        "chunk", "what gets its own probability ratio: a decision, a step, a dimension"
     )
     padded_mean: bool = option(
-        False, "whether imitation averages padded numbers too, as RLinf does"
+        False, "whether imitation also averages padded dimensions, as RLinf does"
     )
     iterations: int = option(100, "rollouts", minimum=1, may_change=True)
     num_envs: int = option(64, "episodes of a rollout", minimum=1)
@@ -94,8 +99,15 @@ class Config(RunOptions):
     accumulate: int = option(
         8, "minibatches whose gradients make one update", minimum=1
     )
-    lr: float = option(4e-6, "learning rate of the policy")
-    critic_lr: float = option(2e-4, "learning rate of the critic and of the noise")
+    lr: float = option(
+        4e-6, "learning rate of the policy", minimum=0, maximum=LARGEST_LR
+    )
+    critic_lr: float = option(
+        2e-4,
+        "learning rate of the critic and of the noise",
+        minimum=0,
+        maximum=LARGEST_LR,
+    )
     critic_iterations: int = option(
         1, "gae: first rollouts that train the critic alone", minimum=0
     )
@@ -106,35 +118,39 @@ class Config(RunOptions):
     group_size: int = option(8, "mc: episodes of a group", minimum=2)
     gamma: float = option(0.99, "gae: discount a decision", minimum=0, maximum=1)
     lmbda: float = option(0.95, "GAE's lambda", minimum=0, maximum=1)
-    max_grad_norm: float = option(1.0, "clip of the gradient's norm")
+    max_grad_norm: float = option(
+        1.0, "clip of the gradient's norm; inf: none", minimum=0, infinite=True
+    )
     eval_every: int = option(10, "rollouts between evaluations", minimum=1)
     eval_episodes: int = option(64, "episodes of an evaluation; 0: none", minimum=0)
     save_every: int = option(50, "rollouts between checkpoints", minimum=1)
+    eval_domains: list[str] = option(
+        ["sim"],
+        "domains to evaluate in: names, MODULE:NAME, or paths of effects.yaml files",
+    )
+    train_domain: str = option(
+        "sim", "domain to train in: a name, MODULE:NAME, or the path of an effects.yaml"
+    )
+    effects_code: str | None = option(
+        None, "Python file that registers effects of your own"
+    )
 
 
 def check(config: Config) -> None:
     """Check the options, before anything large is loaded."""
     from rlco.lerobot_files import read_folder
-    from rlco.physics.camera import check_rendering
-    from rlco.policies.flow_chain import FlowChain
-    from rlco.policies.lerobot_checkpoint import lerobot_config
-    from rlco.policies.lerobot_flow import CHECKPOINTING
-    from rlco.policies.lerobot_inputs import camera_of
-    from rlco.policies.lerobot_noise import check_range
+    from rlco.physics.rendering.camera import check_rendering
+    from rlco.policies.densities.flow_chain import FlowChain
+    from rlco.policies.vla.lerobot.checkpoint import lerobot_config
+    from rlco.policies.vla.lerobot.flow_model import CHECKPOINTING
+    from rlco.policies.vla.lerobot.inputs import camera_of
+    from rlco.policies.vla.lerobot.noise import check_range
+    from rlco.training.stage_two import stage_two_problems
 
     # Names are checked where they are parsed; of a chain only this number is left.
     chain = FlowChain(config.method, 1, "all", config.noise_level, "mean")
     problems = chain.problems() + check_range(config.noise_range)
-    if config.real_coeff > 0 and config.real_demos is None:
-        problems.append(
-            f"real_coeff={config.real_coeff} needs real_demos=FOLDER; "
-            "real_coeff=0 is reinforcement learning alone"
-        )
-    if config.advantage == "mc" and config.num_envs % config.group_size:
-        problems.append(
-            f"num_envs={config.num_envs} is no multiple of "
-            f"group_size={config.group_size}, as advantage='mc' needs"
-        )
+    problems += stage_two_problems(config)
     checkpoint = lerobot_config(config.policy)
     if getattr(checkpoint, "gradient_checkpointing", False):
         problems.append(CHECKPOINTING)
@@ -152,25 +168,33 @@ def check(config: Config) -> None:
     check_rendering()
 
 
-def load(config: Config) -> tuple[Any, Any, Any]:
+def own_code(config: Config) -> tuple[str, ...]:
+    """Return the code that the options themselves name: it may run."""
+    domains = (config.train_domain, *config.eval_domains)
+    code = () if config.effects_code is None else (config.effects_code,)
+    return (*config.allow_code, config.task, *domains, *code)
+
+
+def load(config: Config) -> tuple[Any, LeRobotPolicy, Any]:
     """Return the checkpoint, the policy around it, and real demonstrations if any."""
-    from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
-    from rlco.physics.task import make_task
-    from rlco.policies.lerobot_checkpoint import load_lerobot
-    from rlco.policies.lerobot_flow import check_trainable
-    from rlco.policies.lerobot_policies import LeRobotPolicy
-    from rlco.policies.lerobot_trained import add_expert_lora
-    from rlco.state_files import seed_everything
+    from rlco.physics.tasks.make_task import make_task
+    from rlco.policies.vla.lerobot.checkpoint import load_lerobot
+    from rlco.policies.vla.lerobot.flow_model import check_trainable
+    from rlco.policies.vla.lerobot.policy import LeRobotPolicy
+    from rlco.policies.vla.lerobot.trained_weights import add_expert_lora
+    from rlco.runs.state_files import seed_everything
+    from rlco.training.lerobot_stage import load_real, statistics_of
 
     task = make_task(config.task)
     check(config)
     checkpoint = load_lerobot(
         config.policy,
-        action_size=len(ACTION_NAMES),
-        state_size=len(STATE_NAMES),
+        action_size=len(task.action_names),
+        state_size=len(task.state_names),
         tokenizer=config.tokenizer,
         stats=statistics_of(config.stats),
         device=config.device,
+        allow_code=own_code(config),
     )
     seed_everything(config.seed)  # the noise and the adapters are drawn before the run
     policy = LeRobotPolicy(
@@ -192,124 +216,124 @@ def load(config: Config) -> tuple[Any, Any, Any]:
     check_trainable(policy.model)
     if config.trained == "lora":
         add_expert_lora(policy.model, rank=config.lora_rank)
-    return checkpoint, policy, load_real(config, task, policy)
+    real = None
+    if config.real_coeff > 0 and config.real_demos is not None:
+        camera, rows = config.real_camera, config.minibatch
+        real = load_real(config.real_demos, task, policy, camera=camera, rows=rows)
+    return checkpoint, policy, real
 
 
-def train(config: Config, run: Run, checkpoint: Any, policy: Any, real: Any) -> None:
+def make_learner(
+    config: Config, policy: LeRobotPolicy, critic: Any, real: Any, rows: int
+) -> LargeLearner:
+    """Put loss, minibatches and optimisers around a policy and its critic."""
+    from rlco.losses import CoTrainingLoss, ImitationLoss
+    from rlco.training.lerobot_stage import make_large_learner
+    from rlco.training.stage_two import make_ppo
+
+    # Not functional: billions of weights are trained where they are.
+    loss = CoTrainingLoss(
+        make_ppo(policy, critic, clip=config.clip, functional=False),
+        None if real is None else ImitationLoss(policy, functional=False),
+        real_coeff=0.0 if real is None else config.real_coeff,
+    )
+    return make_large_learner(config, loss, policy, critic, real, rows=rows)
+
+
+def train(
+    config: Config,
+    run: Run,
+    checkpoint: Any,
+    policy: LeRobotPolicy,
+    real: Any,
+    domains: dict[str, Domain],
+) -> None:
     """Train, and write LeRobot checkpoints to the run's folder ``lerobot``."""
-    from lerobot.common.train_utils import update_last_checkpoint
+    from rlco.collectors import check_signal, make_collector
+    from rlco.evaluation import evaluation_envs, success_rates
+    from rlco.policies.vla.prefix_critic import PrefixCritic, add_next_summaries
+    from rlco.training.iterations import co_train
+    from rlco.training.lerobot_stage import restore_beside
+    from rlco.training.stage_two import rollout_rows
 
-    from rlco.collectors import RolloutCollector, check_signal
-    from rlco.envs import make_env
-    from rlco.evaluation import evaluation_env, success_rates
-    from rlco.policies.lerobot_export import save_lerobot
-    from rlco.policies.prefix_critic import add_next_summaries
-
-    size = policy.inputs.image_size
-    env = make_env(
-        config.task,
-        num_envs=config.num_envs,
-        chunk=policy.executed,
-        reward=config.reward,
-        horizon=config.horizon,
-        image_size=size,
-        seed=config.seed,
-    )
-    places = {}
-    if config.eval_episodes:
-        places["sim"] = evaluation_env(
-            config.task,
-            "sim",
-            chunk=policy.executed,
-            episodes=config.eval_episodes,
-            image_size=size,
-        )
-    learner = make_learner(
-        config, policy, real, config.num_envs * -(-env.horizon // env.chunk)
-    )
-    collector = RolloutCollector(
-        env,
+    critic = None
+    if config.advantage == "gae":
+        critic = PrefixCritic(policy.model.summary_size).to(policy.device)
+    restore_beside(config.policy, critic=critic, noise=policy.noise)
+    rows = rollout_rows(config, policy.executed)
+    learner = make_learner(config, policy, critic, real, rows)
+    collector = make_collector(
+        config,
         policy,
-        learner.critic,
-        gamma=config.gamma,
-        lmbda=config.lmbda,
-        advantage=config.advantage,
-        group_size=config.group_size,
+        critic,
+        chunk=policy.executed,
+        image_size=policy.inputs.image_size,
         prepare=partial(add_next_summaries, summary=policy.new_summary),
     )
-    if (saved := run.load_checkpoint()) is not None:
-        learner.load(saved)
-
-    folder = run.path / "lerobot"
-    seen = policy.inputs.camera
-    renamed = {config.real_camera: seen} if config.real_camera else {}
-
-    def save(iteration: int) -> None:
-        there = folder / "checkpoints" / f"{iteration:06d}"
-        if there.exists():  # the run was interrupted after it was written
-            update_last_checkpoint(there)
-            return
-        parts = {"critic": learner.critic, "noise": policy.noise}
-        saved = save_lerobot(
-            checkpoint,
-            folder,
-            step=iteration,
-            data=config.real_demos,
-            rename=renamed,
-            optimizer=learner.actor_optimizer,
-            beside={k: dict(m.state_dict()) for k, m in parts.items() if m is not None},
-        )
-        log.info("lerobot-eval --policy.path=%s", saved)
-
-    def measured(iteration: int) -> dict[str, float]:
-        rates = success_rates(policy, places, config.eval_episodes)
-        for name, rate in rates.items():
-            log.info("rollout %d, %s: %.1f %%", iteration, name, 100 * rate)
-        return rates
-
+    episodes = config.eval_episodes
+    envs = evaluation_envs(
+        config.task,
+        domains,
+        chunk=policy.executed,
+        episodes=episodes,
+        image_size=policy.inputs.image_size,
+    )
     if run.step is None:
-        run.log_metrics(0, {"frames": 0, **measured(0)})
-    for iteration in run.iterations(config.iterations):
-        started = time.perf_counter()
-        rollout = collector.collect(iteration)
-        collected = time.perf_counter()
-        if iteration == 1:
-            check_signal(rollout)
-        row = {
-            "frames": iteration * collector.frames,
-            "return_mean": float(rollout["next", keys.REWARD].sum(1).mean()),
-            "success_rollout": float(
-                rollout["next", keys.SUCCESS][:, -1].float().mean()
-            ),
-            "diverged": int(rollout["next", keys.DIVERGED].sum()),
-        }
-        alone = config.critic_iterations if learner.critic is not None else 0
-        row |= learner.update(rollout, config.epochs, train_policy=iteration > alone)
-        learned = time.perf_counter()
+        before = success_rates(policy, envs, episodes, 0)
+        run.log_metrics(0, {"frames": 0} | before)
+    for iteration, row in co_train(
+        config, run, collector, learner, check_first=check_signal
+    ):
         last = iteration == config.iterations
         if iteration % config.eval_every == 0 or last:
-            row |= measured(iteration)
-        run.log_metrics(iteration, row)
-        run.log_timings(
-            iteration,
-            {
-                "collect": collected - started,
-                "learn": learned - collected,
-                "frames_per_second": collector.frames / (learned - started),
-            },
-        )
+            row |= success_rates(policy, envs, episodes, iteration)
         if iteration % config.save_every == 0 and not last:
-            save(iteration)
-        run.save_checkpoint(iteration, learner.state())
-    save(config.iterations)
+            save(config, run, checkpoint, learner, iteration)
+    save(config, run, checkpoint, learner, config.iterations)
     collector.close()
+
+
+def save(
+    config: Config, run: Run, checkpoint: Any, learner: LargeLearner, iteration: int
+) -> None:
+    """Write a folder that LeRobot takes back, unless an interrupted run has."""
+    from lerobot.common.train_utils import update_last_checkpoint
+
+    from rlco.policies.vla.lerobot.export import save_lerobot
+
+    folder = run.path / "lerobot"
+    there = folder / "checkpoints" / f"{iteration:06d}"
+    if there.exists():
+        update_last_checkpoint(there)
+        return
+    camera = learner.policy.inputs.camera
+    parts = {"critic": learner.critic, "noise": learner.policy.noise}
+    saved = save_lerobot(
+        checkpoint,
+        folder,
+        step=iteration,
+        data=config.real_demos,
+        rename={config.real_camera: camera} if config.real_camera else {},
+        optimizer=learner.actor_optimizer,
+        beside={k: dict(m.state_dict()) for k, m in parts.items() if m is not None},
+    )
+    log.info("lerobot-eval --policy.path=%s", saved)
 
 
 def main(config: Config) -> None:
     """Check everything, train, and say where the checkpoint is."""
-    checkpoint, policy, real = load(config)  # what is wrong shows before a run is made
+    from rlco.evaluation import evaluation_domains
+    from rlco.physics.effects import load_code
+
+    # What is wrong shows before a run is made.
+    load_code(config.effects_code)
+    evaluated = config.eval_domains if config.eval_episodes else []
+    domains = evaluation_domains(
+        config.task, evaluated, train_domain=config.train_domain
+    )
+    checkpoint, policy, real = load(config)
     with Run(config, "lerobot_co_train") as run:
-        train(config, run, checkpoint, policy, real)
+        train(config, run, checkpoint, policy, real, domains)
 
 
 if __name__ == "__main__":

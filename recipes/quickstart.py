@@ -1,29 +1,40 @@
 """The whole chain in one command: record, imitate, reinforce, compare, report.
 
     uv run recipes/quickstart.py
+    uv run recipes/quickstart.py train_domain=gap_report/effects.yaml
 
 Demonstrations are recorded in the simulator and in ``stand_in``, a second simulator
 that plays the robot's part; no robot moves. Then three policies are trained and
-compared in both: real_only (Stage I on real demonstrations alone), sft (Stage I on
+compared in both: real_only (Stage I on real demonstrations only), sft (Stage I on
 both) and rl_co (sft, then PPO in the simulator anchored to the real demonstrations).
 """
 
 from __future__ import annotations
 
 import logging
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
-import record_demos
-import rl_co
-import sft
-from policy_options import SIM_CAMERA, AugmentOptions, PolicyOptions, shared
-
-from rlco.config import option
-from rlco.errors import RenderingError, UnknownNameError
+from rlco.errors import ConfigError, RenderingError, UnknownNameError
 from rlco.run import Run, run_recipe
+from rlco.runs.config import option
+from rlco.training.policy_options import (
+    SIM_CAMERA,
+    AugmentOptions,
+    PolicyOptions,
+    group_values,
+)
+from rlco.training.stage_one import StageOneOptions
+from rlco.training.stage_two import StageTwoOptions
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from rlco.evaluation import Film
+    from rlco.physics.spec.domain import Domain
+    from rlco.policies import ChunkPolicy
+    from rlco.reporting.statistics import ResultRow
 
 log = logging.getLogger("rlco.quickstart")
 METHODS = ("real_only", "sft", "rl_only", "rl_co")
@@ -38,63 +49,67 @@ class Config(PolicyOptions):
     methods: list[str] = option(
         ["real_only", "sft", "rl_co"], f"which to compare: {', '.join(METHODS)}"
     )
-    sim_demos: int = option(12, "demonstrations to record in sim", minimum=1)
+    sim_demos: int = option(
+        12, "demonstrations to record in the training domain", minimum=1
+    )
     real_demos: int = option(6, "demonstrations to record in stand_in", minimum=1)
     heldout_demos: int = option(
-        9, "more of those, never trained on: they measure forgetting", minimum=1
+        9, "more in stand_in, held out of training, to measure forgetting", minimum=1
     )
     sim_ratio: float = option(0.5, "alpha of Stage I", minimum=0, maximum=1)
     updates: int = option(1500, "optimiser steps of Stage I", minimum=1)
     iterations: int = option(50, "rollouts of Stage II", minimum=1)
-    num_envs: int = option(128, "episodes of a rollout", minimum=1)
+    num_envs: int = option(128, "episodes per rollout", minimum=1)
     real_coeff: float = option(0.2, "beta of Stage II", minimum=0)
     advantage: Literal["gae", "mc"] = option(
-        "gae", "by a critic, or by returns within groups that start alike"
+        "gae", "gae: by a critic; mc: by returns within groups of equal initial states"
     )
     eval_every: int = option(25, "rollouts between evaluations", minimum=1)
-    curve_episodes: int = option(64, "episodes of each point of a curve", minimum=1)
-    eval_episodes: int = option(128, "episodes of the comparison", minimum=1)
-    film: bool = option(True, "render frames and a video, where OpenGL is found")
+    curve_episodes: int = option(64, "episodes per point of a curve", minimum=1)
+    eval_episodes: int = option(
+        128, "episodes per method and domain of the comparison", minimum=1
+    )
+    film: bool = option(True, "render frames and a video if OpenGL is found")
+    eval_domains: list[str] = option(
+        ["sim", "stand_in"],
+        "domains to compare in: names, MODULE:NAME, or paths of effects.yaml files; "
+        "the last one is filmed",
+    )
+    train_domain: str = option(
+        "sim",
+        "domain of the simulated demonstrations and of Stage II: a name, "
+        "MODULE:NAME, or the path of an effects.yaml",
+    )
+    effects_code: str | None = option(
+        None, "Python file that registers effects of your own"
+    )
 
 
-def record(config: Config, folder: Path) -> dict[str, str]:
-    """Record what is not recorded yet; return the folders."""
-    plan = {
-        "sim": ("sim", config.sim_demos, 3 * config.seed),
-        "real": ("stand_in", config.real_demos, 3 * config.seed + 1),
-        "heldout": ("stand_in", config.heldout_demos, 3 * config.seed + 2),
-    }
-    seen = config.image != "none"
-    folders = {}
-    for name, (domain, episodes, seed) in plan.items():
-        path = folder / name
-        folders[name] = str(path)
-        if not path.exists():
-            # A recording that was cut off is made anew, under another name until whole.
-            part = path.with_suffix(".part")
-            shutil.rmtree(part, ignore_errors=True)
-            frames = record_demos.record(
-                record_demos.Config(
-                    out=str(part),
-                    task=config.task,
-                    domain=domain,
-                    episodes=episodes,
-                    camera=SIM_CAMERA if seen else None,
-                    image_size=config.image_size if seen else None,
-                    # Far from the seeds of rollouts and of evaluations.
-                    seed=500_000 + seed,
-                )
-            )
-            part.rename(path)
-            log.info("recorded %d episodes, %d frames: %s", episodes, frames, path)
-    return folders
+# -- Options of the stages ---------------------------------------------------------
+
+
+def stage_one(config: Config, demos: dict[str, str], method: str) -> StageOneOptions:
+    """Return the options of a run of Stage I."""
+    return StageOneOptions(
+        name=method,
+        seed=config.seed,
+        threads=config.threads,
+        task=config.task,
+        sim_demos=demos["sim"],
+        real_demos=demos["real"],
+        sim_ratio=0.0 if method == "real_only" else config.sim_ratio,
+        updates=config.updates,
+        eval_domains=config.eval_domains,
+        effects_code=config.effects_code,
+        **group_values(config, PolicyOptions),
+    )
 
 
 def stage_two(
     config: Config, folder: Path, demos: dict[str, str], method: str
-) -> rl_co.Config:
+) -> StageTwoOptions:
     """Return the options of a run of Stage II inside a run directory."""
-    return rl_co.Config(
+    return StageTwoOptions(
         name=method,
         seed=config.seed,
         threads=config.threads,
@@ -108,57 +123,167 @@ def stage_two(
         advantage=config.advantage,
         eval_every=config.eval_every,
         eval_episodes=config.curve_episodes,
-        **shared(config, AugmentOptions),
+        eval_domains=config.eval_domains,
+        train_domain=config.train_domain,
+        effects_code=config.effects_code,
+        **group_values(config, AugmentOptions),
     )
 
 
-def stage_one(config: Config, demos: dict[str, str], method: str) -> sft.Config:
-    """Return the options of a run of Stage I."""
-    return sft.Config(
-        name=method,
-        seed=config.seed,
-        threads=config.threads,
-        task=config.task,
-        sim_demos=demos["sim"],
-        real_demos=demos["real"],
-        sim_ratio=0.0 if method == "real_only" else config.sim_ratio,
-        updates=config.updates,
-        **shared(config, PolicyOptions),
+def check(config: Config) -> dict[str, Domain]:
+    """Check all options; return the domains to compare in, by their names."""
+    from rlco.evaluation import evaluation_domains
+    from rlco.physics.effects import load_code
+    from rlco.physics.tasks.make_task import make_task
+    from rlco.training.stage_one import check_stage_one
+    from rlco.training.stage_two import check_stage_two
+
+    for method in config.methods:
+        if method not in METHODS:
+            raise UnknownNameError("method", method, METHODS)
+    if not config.eval_domains:
+        raise ConfigError(["eval_domains=[] leaves nowhere to compare; give one"])
+    make_task(config.task)
+    load_code(config.effects_code)
+    domains = evaluation_domains(
+        config.task, config.eval_domains, train_domain=config.train_domain
+    )
+    nowhere = {"sim": "", "real": "", "heldout": ""}
+    check_stage_two(stage_two(config, Path(), nowhere, "rl_co"))
+    check_stage_one(stage_one(config, nowhere, "sft"))
+    return domains
+
+
+# -- Record, imitate, reinforce, compare -------------------------------------------
+
+
+def record(config: Config, folder: Path) -> dict[str, str]:
+    """Record the data sets that do not exist yet; return their folders."""
+    from rlco.data import record_once
+
+    plan = {
+        "sim": (config.train_domain, config.sim_demos, 3 * config.seed),
+        "real": ("stand_in", config.real_demos, 3 * config.seed + 1),
+        "heldout": ("stand_in", config.heldout_demos, 3 * config.seed + 2),
+    }
+    images = config.image != "none"
+    for name, (domain, episodes, seed) in plan.items():
+        record_once(
+            folder / name,
+            config.task,
+            domain,
+            episodes=episodes,
+            camera=SIM_CAMERA if images else None,
+            image_size=config.image_size if images else None,
+            seed=500_000 + seed,  # far from the seeds of rollouts and evaluations
+        )
+    return {name: str(folder / name) for name in plan}
+
+
+def imitate(config: Config, run: Run, demos: dict[str, str], method: str) -> Any:
+    """Return a policy of Stage I."""
+    from rlco.training.stage_one import load_stage_one, train_stage_one
+
+    options = stage_one(config, demos, method)
+    data = load_stage_one(options)
+    with run.stage(options, "sft", f"stages/{method}") as stage:
+        return train_stage_one(options, stage, data)
+
+
+def reinforce(
+    config: Config,
+    run: Run,
+    demos: dict[str, str],
+    method: str,
+    domains: dict[str, Domain],
+) -> ChunkPolicy:
+    """Return a policy of Stage II, trained as rl_co.py trains it."""
+    from rlco.collectors import check_signal, make_collector
+    from rlco.evaluation import evaluation_envs, held_out_error, success_rates
+    from rlco.losses import CoTrainingLoss, ImitationLoss
+    from rlco.policies import save_policy
+    from rlco.training.iterations import co_train
+    from rlco.training.stage_two import (
+        fix_pose_range,
+        load_stage_two,
+        make_critic,
+        make_learner,
+        make_ppo,
+        rollout_rows,
     )
 
+    options = stage_two(config, run.path, demos, method)
+    policy, data = load_stage_two(options)
+    with run.stage(options, "rl_co", f"stages/{method}") as stage:
+        critic = make_critic(options, policy)
+        real = data.real if options.real_coeff > 0 else None
+        loss = CoTrainingLoss(
+            make_ppo(policy, critic, clip=options.clip),
+            None if real is None else ImitationLoss(policy),
+            real_coeff=options.real_coeff,
+        )
+        rows = rollout_rows(options, policy.chunk)
+        learner = make_learner(options, loss, policy, critic, real, rows=rows)
+        collector = make_collector(
+            options,
+            policy,
+            critic,
+            backend=options.backend,
+            chunk=policy.chunk,
+            image_size=policy.image_size,
+            prepare=fix_pose_range(critic, policy) if stage.step is None else None,
+        )
+        episodes = options.eval_episodes
+        envs = evaluation_envs(
+            options.task,
+            domains,
+            chunk=policy.chunk,
+            episodes=episodes,
+            image_size=policy.image_size,
+        )
+        if stage.step is None:
+            before = success_rates(policy, envs, episodes, 0)
+            before |= held_out_error(policy, data.heldout)
+            stage.log_metrics(0, {"frames": 0} | before)
+        for iteration, row in co_train(
+            options, stage, collector, learner, check_first=check_signal
+        ):
+            row |= held_out_error(policy, data.heldout)
+            if iteration % options.eval_every == 0 or iteration == options.iterations:
+                row |= success_rates(policy, envs, episodes, iteration)
+        extra = {"real_coeff": options.real_coeff, **collector.env.task.description()}
+        save_policy(policy, stage.path / "policy", extra=extra)
+        collector.close()
+    return policy
 
-def train(config: Config, run: Run, demos: dict[str, str]) -> dict[str, Any]:
+
+def train(
+    config: Config, run: Run, demos: dict[str, str], domains: dict[str, Domain]
+) -> dict[str, ChunkPolicy]:
     """Train every policy that the methods need; return them by method."""
     needed = set(config.methods)
     if needed & {"rl_only", "rl_co"}:
         needed.add("sft")
-    policies: dict[str, Any] = {}
+    (run.path / "stages").mkdir(exist_ok=True)
+    policies = {}
     for method in METHODS:
-        if method not in needed:
-            continue
-        folder = f"stages/{method}"
-        if method in ("real_only", "sft"):
-            options = stage_one(config, demos, method)
-            data = sft.load(options)
-            (run.path / "stages").mkdir(exist_ok=True)
-            with run.stage(options, "sft", folder) as stage:
-                policies[method] = sft.train(options, stage, data)
-        else:
-            options = stage_two(config, run.path, demos, method)
-            start, data = rl_co.load(options)
-            with run.stage(options, "rl_co", folder) as stage:
-                policies[method] = rl_co.train(options, stage, start, data)
+        if method in needed and method in ("real_only", "sft"):
+            policies[method] = imitate(config, run, demos, method)
+        elif method in needed:
+            policies[method] = reinforce(config, run, demos, method, domains)
     return {method: policies[method] for method in config.methods}
 
 
-def compare(config: Config, policies: dict[str, Any]) -> list[Any]:
-    """Evaluate every policy in both domains, from the same initial states."""
+def compare(
+    config: Config, policies: dict[str, ChunkPolicy], domains: dict[str, Domain]
+) -> list[ResultRow]:
+    """Evaluate every policy in every domain, from the same initial states."""
     from rlco.evaluation import EVALUATION_SEED, evaluate, evaluation_env
 
     rows = []
-    for domain in ("sim", "stand_in"):
-        one = next(iter(policies.values()))
-        # Other initial states than those of the learning curves.
+    one = next(iter(policies.values()))
+    for name, domain in domains.items():
+        # The initial states differ from those of the learning curves.
         env = evaluation_env(
             config.task,
             domain,
@@ -169,96 +294,85 @@ def compare(config: Config, policies: dict[str, Any]) -> list[Any]:
         )
         for method, policy in policies.items():
             result = evaluate(policy, env, config.eval_episodes)
-            log.info("%-9s in %-8s: %s", method, domain, result)
+            log.info("%-9s in %-8s: %s", method, name, result)
             row = result.row(
-                method, domain, config.seed, task=config.task, policy=policy.kind
+                method, name, config.seed, task=config.task, policy=policy.kind
             )
             rows.append(row)
     return rows
 
 
-def draw(config: Config, run: Run, rows: list[Any], policies: dict[str, Any]) -> None:
+# -- Report ------------------------------------------------------------------------
+
+
+def draw(
+    config: Config, run: Run, rows: list[ResultRow], policies: dict[str, Any]
+) -> None:
     """Draw the figures of the report."""
-    from rlco import plots
-    from rlco.evaluation import record_video
-    from rlco.metrics import read_metrics
+    from rlco.reporting import plots
+    from rlco.reporting.stage_figures import draw_stages
 
     plots.save_figure(plots.success_bars(rows), run.plots / "success.png")
-    curves, errors = [], {}
-    for method in ("rl_only", "rl_co"):
-        if method not in policies:
-            continue
-        table = read_metrics(run.path / "stages" / method / "metrics.csv")
-        for domain in ("sim", "stand_in"):
-            name = f"success_{domain}"
-            points = [row for row in table if name in row]
-            curves.append(
-                plots.Curve(
-                    method,
-                    domain,
-                    [row["frames"] for row in points],
-                    [[row[name] for row in points]],
-                    config.curve_episodes,
-                )
-            )
-        points = [row for row in table if "imitation_error_heldout" in row]
-        errors[method] = (
-            [row["frames"] for row in points],
-            [row["imitation_error_heldout"] for row in points],
-        )
-        points = [row for row in table if "grad_cosine" in row]
-        if points:
-            figure = plots.gradient_terms(
-                [row["step"] for row in points],
-                [row["grad_norm_sim"] for row in points],
-                [row["grad_norm_real"] for row in points],
-                [row["grad_cosine"] for row in points],
-            )
-            plots.save_figure(figure, run.plots / "gradients.png")
-    if curves:
-        plots.save_figure(plots.learning_curves(curves), run.plots / "curves.png")
-        plots.save_figure(plots.imitation_error(errors), run.plots / "forgetting.png")
-    if not config.film:
-        return
-    method, policy = list(policies.items())[-1]
+    draw_stages(
+        {
+            method: run.path / "stages" / method
+            for method in ("rl_only", "rl_co")
+            if method in policies
+        },
+        list(dict.fromkeys(row["domain"] for row in rows)),
+        run.plots,
+        episodes=config.curve_episodes,
+    )
+
+
+def film(config: Config, run: Run, method: str, policy: Any, domain: Domain) -> None:
+    """Film an episode, and draw some of its frames for the report."""
+    from rlco.evaluation import record_video
+    from rlco.reporting.plots import save_figure
+
+    path = run.videos / f"{method}_{domain.name}.mp4"
     try:
-        path = run.videos / f"{method}_stand_in.mp4"
-        frames = record_video(policy, config.task, "stand_in", path, chunk=policy.chunk)
+        filmed = record_video(policy, config.task, domain, path, chunk=policy.chunk)
     except RenderingError as error:
         log.warning("no frames in the report: %s", error)
         return
-    some = range(0, len(frames), max(1, len(frames) // 5))
-    figure = plots.episode_strip(
-        [frames[i] for i in some], [i * policy.chunk / 20 for i in some], "stand_in"
+    save_figure(strip(filmed, domain.name, method), run.plots / "episode.png")
+
+
+def strip(filmed: Film, domain: str, method: str) -> Figure:
+    """Draw about five of an episode's frames."""
+    from rlco.reporting.plots import episode_strip
+
+    some = range(0, len(filmed.frames), max(1, len(filmed.frames) // 5))
+    return episode_strip(
+        [filmed.frames[i] for i in some],
+        [i * filmed.period for i in some],
+        domain,
+        policy=method,
+        instruction=filmed.instruction,
     )
-    plots.save_figure(figure, run.plots / "episode.png")
 
 
 def main(config: Config) -> None:
     """Run the chain, and write the report."""
-    for method in config.methods:
-        if method not in METHODS:
-            raise UnknownNameError("method", method, METHODS)
-    from rlco.physics.task import make_task
-    from rlco.report import write_report
+    from rlco.reporting.report import write_report
 
-    make_task(config.task)
-    nowhere = {"sim": "", "real": "", "heldout": ""}
-    rl_co.check(stage_two(config, Path(), nowhere, "rl_co"))
-    sft.check(stage_one(config, nowhere, "sft"))
+    domains = check(config)
     with Run(config, "quickstart") as run:
         demos = record(config, run.path / "data")
-        policies = train(config, run, demos)
-        rows = compare(config, policies)
+        policies = train(config, run, demos, domains)
+        rows = compare(config, policies, domains)
         run.save_results(rows)
         draw(config, run, rows, policies)
-    report = write_report(
-        run.path,
-        notes=[
-            "stand_in is a second simulator that plays the robot's part. "
-            "No robot moved for this report."
-        ],
-    )
+        if config.film:
+            method, policy = list(policies.items())[-1]
+            film(config, run, method, policy, list(domains.values())[-1])
+    notes = []
+    if config.train_domain != "sim":
+        notes.append(
+            f"Simulated demonstrations and RL use the domain {config.train_domain}."
+        )
+    report = write_report(run.path, notes=notes)
     log.info("report: %s", report)
 
 

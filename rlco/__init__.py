@@ -3,3 +3,5 @@
 Nothing is imported here, so that what needs no torch stays fast: import from
 ``rlco.losses``, ``rlco.envs``, ``rlco.data``, ``rlco.policies``, ``rlco.run``.
 """
+
+__version__ = "0.1.0"

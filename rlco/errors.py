@@ -66,6 +66,10 @@ class CheckpointError(RlcoError):
     """A checkpoint that does not fit what it is loaded into."""
 
 
+class NonFiniteError(RlcoError):
+    """Numbers of a training that are NaN or infinite; nothing goes on from them."""
+
+
 class RenderingError(RlcoError):
     """No OpenGL library to render with."""
 

@@ -2,25 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import logging
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
+from tqdm import tqdm
 
 from rlco import keys
 from rlco.envs import make_env
 from rlco.envs.chunk_env import ChunkEnv
-from rlco.statistics import ResultRow, wilson_interval
+from rlco.errors import ConfigError
+from rlco.physics.spec.domain import Domain, GivenDomain, make_domain
+from rlco.physics.tasks.named_task import check_domains
+from rlco.reporting.statistics import ResultRow, wilson_interval
+
+if TYPE_CHECKING:
+    from rlco.data import DemoReplayBuffer
+
+log = logging.getLogger("rlco.evaluation")
 
 # Initial states of evaluations come from seeds that no training reaches.
 EVALUATION_SEED = 1_000_003
-ROWS = 256  # of demonstrations with pictures that are evaluated at once
+ROWS = 256  # of demonstrations with images that are evaluated at once
 
 
 @dataclass(frozen=True)
@@ -86,7 +96,8 @@ def evaluate(policy: Any, env: ChunkEnv, episodes: int) -> Evaluation:
     period = env.chunk / env.task.control_frequency
     limit = env.horizon / env.task.control_frequency
     success, seconds = [], []
-    for index in range(-(-episodes // count)):
+    batches = tqdm(range(-(-episodes // count)), "evaluate", leave=False, disable=None)
+    for index in batches:
         env.start_at(index)
         with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
             rollout = env.rollout(decisions, policy)
@@ -97,19 +108,44 @@ def evaluate(policy: Any, env: ChunkEnv, episodes: int) -> Evaluation:
         time = np.minimum((decisions - trailing + 1) * period, limit)
         success.append(solved[:, -1])
         seconds.append(np.where(solved[:, -1], time, np.nan))
+        batches.set_postfix_str(f"success {np.concatenate(success).mean():.1%}")
     return Evaluation(
         np.concatenate(success)[:episodes], np.concatenate(seconds)[:episodes]
     )
 
 
 def success_rates(
-    policy: Any, places: Mapping[str, ChunkEnv], episodes: int
+    policy: Any,
+    envs: Mapping[str, ChunkEnv],
+    episodes: int,
+    iteration: int | None = None,
 ) -> dict[str, float]:
-    """Return ``success_<domain>`` of a policy in each domain's environment."""
-    return {
+    """Return ``success_<domain>`` of a policy in each domain's environment.
+
+    Args:
+        policy: See `evaluate`.
+        envs: The environment of each domain, by the domain's name.
+        episodes: Of each.
+        iteration: When this is measured: then the rates are logged too.
+    """
+    rates = {
         f"success_{domain}": evaluate(policy, env, episodes).rate
-        for domain, env in places.items()
+        for domain, env in envs.items()
     }
+    if iteration is not None:
+        for name, rate in rates.items():
+            log.info("rollout %d, %s: %.1f %%", iteration, name, 100 * rate)
+    return rates
+
+
+def held_out_error(policy: Any, demos: DemoReplayBuffer | None) -> dict[str, float]:
+    """Return ``imitation_error_heldout`` on held-out demonstrations, if there are any.
+
+    See `imitation_error`.
+    """
+    if demos is None:
+        return {}
+    return {"imitation_error_heldout": imitation_error(policy, demos.frames())}
 
 
 def imitation_error(policy: Any, frames: TensorDictBase) -> float:
@@ -119,15 +155,53 @@ def imitation_error(policy: Any, frames: TensorDictBase) -> float:
         policy: Offers ``imitation_loss``.
         frames: Observations, chunks and ``action_is_pad``, batch size (B,).
     """
-    # All pictures at once would need gigabytes inside a network.
+    # All images at once would need gigabytes inside a network.
     parts = frames.split(ROWS) if keys.IMAGE in policy.in_keys else [frames]
     with torch.no_grad():
         steps = torch.cat([policy.imitation_loss(part) for part in parts])
     return float(steps[~frames[keys.IS_PAD]].mean())
 
 
+def evaluation_domains(
+    task: str, evaluated: Iterable[str], *, train_domain: str | None = None
+) -> dict[str, Domain]:
+    """Return the domains to evaluate in by their names, all checked for the task.
+
+    Args:
+        task: The task's name.
+        evaluated: Names, or paths of effects.yaml files.
+        train_domain: The same, of where training takes place, if it does.
+
+    Raises:
+        ConfigError: A file's name cannot name a column of metrics.csv.
+        RlcoError: See `rlco.physics.tasks.named_task.check_domains`.
+    """
+    given = list(evaluated)
+    check_domains(task, [*given, *([] if train_domain is None else [train_domain])])
+    domains = {domain.name: domain for domain in map(make_domain, given)}
+    problems = [
+        f"domain {name!r} cannot name a column of metrics.csv; rename its file, "
+        "without commas and quotes"
+        for name in domains
+        if set(name) & set(',"\r\n')
+    ]
+    if problems:
+        raise ConfigError(problems)
+    return domains
+
+
+def evaluation_envs(
+    task: str, domains: Mapping[str, Domain], **options: Any
+) -> dict[str, ChunkEnv]:
+    """Return `evaluation_env` of each domain, by the domain's name."""
+    return {
+        name: evaluation_env(task, domain, **options)
+        for name, domain in domains.items()
+    }
+
+
 def evaluation_env(
-    task: str, domain: str, *, chunk: int, episodes: int, **options: Any
+    task: str, domain: GivenDomain, *, chunk: int, episodes: int, **options: Any
 ) -> ChunkEnv:
     """Return the environment that evaluations share, at most 64 episodes at once."""
     # A diverged episode is neither a success nor a failure.
@@ -137,47 +211,75 @@ def evaluation_env(
     )
 
 
+@dataclass(frozen=True)
+class Film:
+    """One filmed episode.
+
+    Attributes:
+        frames: One image per decision, (height, width, 3) each.
+        period: Time between two frames [s].
+        instruction: What the policy was asked to do.
+    """
+
+    frames: list[NDArray[np.uint8]]
+    period: float
+    instruction: str
+
+
 def record_video(
     policy: Any,
     task: str,
-    domain: str,
+    domain: GivenDomain,
     path: Path,
     *,
     chunk: int,
     index: int = 0,
-    variation: str | None = None,
-    seed: int = EVALUATION_SEED,
     image_size: tuple[int, int] = (240, 320),
-) -> list[NDArray[np.uint8]]:
-    """Write one episode as an mp4 video, one frame a decision; return the frames.
+    **options: Any,
+) -> Film:
+    """Write one episode as an mp4 video, one frame per decision; return what it shows.
 
-    Of a policy that reads pictures the video shows those, enlarged.
+    Of a policy that reads images the video shows those, enlarged.
+
+    Args:
+        policy: Writes `action`; its most likely action is taken.
+        task: The task's name.
+        domain: Where to play.
+        path: The video.
+        chunk: Control steps of a decision.
+        index: Number of the episode.
+        image_size: Height and width of the frames of a policy that reads none.
+        **options: Further options of `make_env` (``backend``, ``variation``,
+            ``effects``, ``seed``): the same as in the evaluation, for its episode.
 
     Raises:
-        RenderingError: If nothing can render.
+        RenderingError: If no renderer is available.
     """
     import imageio.v3 as imageio
 
-    seen = getattr(policy, "image_size", None)
+    image_read = getattr(policy, "image_size", None)
     env = make_env(
         task,
         domain=domain,
         chunk=chunk,
-        variation=variation,
-        image_size=seen or image_size,
-        image_quality="fast" if seen else "robosuite",
-        seed=seed,
+        image_size=image_read or image_size,
+        image_quality="fast" if image_read else "robosuite",
+        **{"seed": EVALUATION_SEED, **options},
     )
     env.start_at(index)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         rollout = env.rollout(-(-env.horizon // chunk), policy)
     first = rollout[keys.IMAGE][0, :1]
     images = torch.cat([first, rollout["next", *keys.IMAGE][0]])
-    times = max(1, image_size[0] // seen[0]) if seen else 1
+    times = max(1, image_size[0] // image_read[0]) if image_read else 1
     images = images.repeat_interleave(times, -1).repeat_interleave(times, -2)
     frames = list(images.permute(0, 2, 3, 1).numpy())
+    instruction = env.task.instructions[int(rollout[keys.INSTRUCTION_ID][0, 0])]
     env.close()
-    rate = env.task.control_frequency / chunk
-    # Browsers show H.264 with this layout of colours, and hardly any other.
-    imageio.imwrite(path, np.stack(frames), fps=rate, codec="libx264")
-    return frames
+    period = chunk / env.task.control_frequency
+    # H.264 keeps a colour for four pixels, so sizes are even. PyAV encodes in this
+    # process: where it is large, the system may refuse to fork it for ffmpeg.
+    even = [(0, 0), (0, frames[0].shape[0] % 2), (0, frames[0].shape[1] % 2), (0, 0)]
+    film = np.pad(np.stack(frames), even, mode="edge")
+    imageio.imwrite(path, film, fps=1.0 / period, codec="libx264", plugin="pyav")
+    return Film(frames, period, instruction)

@@ -19,24 +19,32 @@ from typing import TYPE_CHECKING, Any, Self
 
 from tqdm import tqdm
 
-from rlco import run_folder
-from rlco.config import RunOptions, parse, to_yaml
-from rlco.errors import RlcoError
-from rlco.headless import choose_gl
-from rlco.metrics import MetricsFile
+from rlco.errors import NonFiniteError, RlcoError
+from rlco.reporting.headless import choose_gl
+from rlco.runs import run_folder
+from rlco.runs.config import RunOptions, parse, to_yaml
+from rlco.runs.metrics import MetricsFile
+from rlco.runs.whole_files import remove_parts, write_json, write_text
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
 
-    from rlco.statistics import ResultRow
+    from rlco.reporting.statistics import ResultRow
 
 log = logging.getLogger("rlco.run")
+_SHOWN = ("success", "loss")  # what a row of metrics.csv shows beside the bar
+
+
+#: Between lines on the progress of a run where there is no terminal for a bar [s].
+QUIET = 15.0
 
 
 def run_recipe[C](
     main: Callable[[C], None],
     config_class: type[C],
     argv: Sequence[str] | None = None,
+    *,
+    loads: str = "torch",
 ) -> None:
     """Start a recipe: read its options, run it, turn wrong input into one sentence.
 
@@ -47,6 +55,7 @@ def run_recipe[C](
         main: The recipe; its file names the recipe and the folder of its YAML.
         config_class: The dataclass of its options.
         argv: The arguments; the command line's where absent.
+        loads: What takes the first seconds to import: it is said before.
     """
     choose_gl()
     logger = logging.getLogger("rlco")
@@ -59,7 +68,10 @@ def run_recipe[C](
     logger.addHandler(console)
     try:
         argv = sys.argv[1:] if argv is None else argv
-        main(parse(config_class, argv, inspect.getfile(main)))
+        config = parse(config_class, argv, inspect.getfile(main))
+        if loads not in sys.modules:
+            log.info("loading %s", loads)
+        main(config)
     except RlcoError as error:
         sys.stderr.write(f"error: {error}\n")
         raise SystemExit(2) from None
@@ -117,20 +129,20 @@ class Run:
             self._lock = run_folder.lock(self.path)
             self._info = run_folder.origin(recipe)
         options = to_yaml(config, leave_out=("out", "resume"))
-        run_folder.write_text(self.path / "config.yaml", options)
+        write_text(self.path / "config.yaml", options)
         self._start: float = time.perf_counter() - self._info["seconds"]
         self._write_info("running")
         self._open_tables()
         self._open_log()
         import torch
 
-        from rlco.state_files import seed_everything
+        from rlco.runs.state_files import seed_everything
 
         torch.set_num_threads(config.threads)
         seed_everything(config.seed)
 
     def _open_tables(self) -> None:
-        run_folder.remove_parts(self.path)
+        remove_parts(self.path)
         self.checkpoints = self.path / "checkpoints"
         saved = _checkpoint_files(self.checkpoints)
         # The last iteration that a checkpoint holds; None before the first.
@@ -139,6 +151,8 @@ class Run:
         self._timings = MetricsFile(self.path / "timings.csv", keep_to=self.step)
         self._rng: Mapping[str, Any] | None = None
         self._board: SummaryWriter | None = None
+        self._bar: tqdm[Any] | None = None
+        self._latest: dict[str, float] = {}
         if self.resumed:
             self._open_board()
 
@@ -167,6 +181,8 @@ class Run:
             # For the file alone: on the screen the error speaks for itself.
             what = (status, (), (kind, error, trace))
             self._handler.handle(log.makeRecord(log.name, logging.ERROR, "", 0, *what))
+            if isinstance(error, NonFiniteError) and self.step is not None:
+                log.warning("the last good state is %s", self._last_checkpoint())
         self._write_info(status)
         if self._board is not None:
             self._board.close()
@@ -195,22 +211,40 @@ class Run:
         A resumed run gets its random state back before its first one.
         """
         if self._rng is not None:
-            from rlco.state_files import set_rng_state
+            from rlco.runs.state_files import set_rng_state
 
             set_rng_state(self._rng)
             self._rng = None
         first = (self.step or 0) + 1
-        yield from tqdm(
-            range(first, total + 1),
-            desc=self.recipe,
-            total=total,
-            initial=first - 1,
-            disable=None,
-        )
+        said = time.perf_counter()
+        with tqdm(
+            desc=self.recipe, total=total, initial=first - 1, disable=None
+        ) as self._bar:
+            for iteration in range(first, total + 1):
+                yield iteration
+                self._bar.update()
+                if self._bar.disable and time.perf_counter() - said > QUIET:
+                    said = time.perf_counter()
+                    log.info(
+                        "%s: %d of %d, %s",
+                        self.recipe,
+                        iteration,
+                        total,
+                        self._progress_text,
+                    )
+
+    @property
+    def _progress_text(self) -> str:
+        """The latest successes and losses, for people who wait."""
+        return ", ".join(f"{name} {value:.3g}" for name, value in self._latest.items())
 
     def log_metrics(self, step: int, row: Mapping[str, Any]) -> None:
         """Write one row of metrics.csv; see :meth:`MetricsFile.append`. No times."""
         self._log(self._metrics, step, row, "")
+        last = self._metrics.last.items()
+        self._latest |= {name: v for name, v in last if name.startswith(_SHOWN)}
+        if self._bar is not None:
+            self._bar.set_postfix_str(self._progress_text, refresh=False)
 
     def log_timings(self, step: int, row: Mapping[str, Any]) -> None:
         """Write one row of timings.csv: what differs from run to run [s]."""
@@ -221,14 +255,19 @@ class Run:
 
         Args:
             step: The iteration just done.
-            state: As :func:`rlco.state_files.save_state` takes it.
+            state: As :func:`rlco.runs.state_files.save_state` takes it.
             keep: Older checkpoints beyond so many are removed.
 
         Returns:
             The file.
-        """
-        from rlco.state_files import rng_state, save_state
 
+        Raises:
+            NonFiniteError: A tensor holds NaN or infinity; nothing is written.
+        """
+        from rlco.finite import check_saved, named_tensors
+        from rlco.runs.state_files import rng_state, save_state
+
+        check_saved(f"the checkpoint of iteration {step}", named_tensors(state))
         self._metrics.sync()
         self._timings.sync()
         path = _made(self.checkpoints) / f"step_{step:07d}.safetensors"
@@ -240,18 +279,29 @@ class Run:
         return path
 
     def load_checkpoint(self) -> Any:
-        """Return the last checkpoint's state; None where a run starts afresh."""
-        from rlco.state_files import load_state
+        """Return the last checkpoint's state; None where a run starts afresh.
+
+        Raises:
+            CheckpointError: It cannot be read, or holds NaN or infinity.
+        """
+        from rlco.finite import check_loaded, named_tensors
+        from rlco.runs.state_files import load_state
 
         if self.step is None:
             return None
-        saved = load_state(_checkpoint_files(self.checkpoints)[-1])
+        path = self._last_checkpoint()
+        saved = load_state(path)
+        advice = "take the file away to resume from the one before, if there is one"
+        check_loaded(str(path), named_tensors(saved["state"]), advice=advice)
         self._rng = saved["rng"]
         return saved["state"]
 
+    def _last_checkpoint(self) -> Path:
+        return _checkpoint_files(self.checkpoints)[-1]
+
     def save_results(self, rows: Sequence[ResultRow]) -> None:
         """Write results.json: what every evaluated policy reached."""
-        run_folder.write_json(
+        write_json(
             self.path / "results.json", {"seconds": self.seconds, "rows": list(rows)}
         )
 
@@ -292,7 +342,7 @@ class Run:
 
     def _write_info(self, status: str) -> None:
         self._info |= {"status": status, "seconds": self.seconds}
-        run_folder.write_json(self.path / "run.json", self._info)
+        write_json(self.path / "run.json", self._info)
 
 
 def _checkpoint_files(folder: Path) -> list[Path]:

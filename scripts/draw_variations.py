@@ -11,7 +11,7 @@ import imageio.v3 as imageio
 import numpy as np
 
 from rlco import keys
-from rlco.headless import choose_gl
+from rlco.reporting.headless import choose_gl
 
 FIGURE = Path(__file__).parents[1] / "docs" / "figures" / "variations.png"
 SIZE = (180, 240)
@@ -21,7 +21,8 @@ def main() -> None:
     """Draw a row for each task, a column for each variation but that of the camera."""
     choose_gl()
     from rlco.envs import make_env
-    from rlco.physics.task import TASK_NAMES, make_task
+    from rlco.physics.spec.names import TASK_NAMES
+    from rlco.physics.tasks.make_task import make_task
 
     rows = []
     for name in TASK_NAMES:

@@ -1,10 +1,12 @@
-"""What may be imported without torch, seen from a fresh interpreter."""
+"""What may be imported without torch, and what a recipe may import."""
 
 from __future__ import annotations
 
+import ast
 import importlib.util
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -12,11 +14,14 @@ import pytest
 WITHOUT_TORCH = (
     "rlco.keys",
     "rlco.errors",
-    "rlco.config",
+    "rlco.runs.config",
+    "rlco.training.policy_options",
+    "rlco.training.stage_one",
+    "rlco.training.stage_two",
     "rlco.run",
-    "rlco.statistics",
-    "rlco.plots",
-    "rlco.report",
+    "rlco.reporting.statistics",
+    "rlco.reporting.plots",
+    "rlco.reporting.report",
     "rlco.lerobot_files",
     "rlco.physics",
     *(["rlco.gap"] if importlib.util.find_spec("rlco.gap") else []),
@@ -40,3 +45,37 @@ def test_module_is_imported_without_torch(module: str) -> None:
     )
     assert done.returncode == 0, done.stderr
     assert done.stdout.splitlines()[-1] == "[]"
+
+
+# -- Recipes -----------------------------------------------------------------------
+
+RECIPES = Path(__file__).parents[1] / "recipes"
+
+
+def imported(source: str) -> set[str]:
+    """Return the first names of all modules that a source file imports."""
+    found = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name.partition(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            # A relative import is of a sibling, whatever it names.
+            found.add((node.module or "").partition(".")[0] if not node.level else ".")
+    return found
+
+
+@pytest.mark.parametrize(
+    "recipe", sorted(RECIPES.glob("*.py")), ids=lambda path: path.stem
+)
+def test_a_recipe_imports_no_other_file_of_its_folder(recipe: Path) -> None:
+    siblings = {path.stem for path in RECIPES.glob("*.py")} | {"recipes", "."}
+    assert not imported(recipe.read_text("utf-8")) & siblings
+
+
+def test_every_file_of_the_recipes_is_one_that_can_be_started() -> None:
+    helpers = [
+        path.name
+        for path in RECIPES.glob("*.py")
+        if "run_recipe(main," not in path.read_text("utf-8")
+    ]
+    assert helpers == []

@@ -15,9 +15,9 @@ from pathlib import Path
 import pytest
 import torch
 
-from rlco.config import RunOptions, option
-from rlco.errors import OutputExistsError, RlcoError
+from rlco.errors import NonFiniteError, OutputExistsError, RlcoError
 from rlco.run import Run, run_recipe
+from rlco.runs.config import RunOptions, option
 
 TOY = '''
 """A recipe that draws from every random number and can be killed at a point."""
@@ -25,7 +25,7 @@ import os, random, signal
 from dataclasses import dataclass
 from pathlib import Path
 
-from rlco.config import RunOptions, option
+from rlco.runs.config import RunOptions, option
 from rlco.run import Run, run_recipe
 
 
@@ -283,6 +283,30 @@ def test_wrong_input_is_one_line_and_status_2(
     assert "record one" in (tmp_path / "x" / "log.txt").read_text()
 
 
+def test_a_state_that_is_not_finite_is_not_saved(tmp_path: Path) -> None:
+    out = tmp_path / "run"
+    good = {"weight": torch.ones(2), "count": torch.arange(2)}
+    bad = {"optimizer": {0: {"exp_avg": torch.tensor([1.0, torch.nan])}}}
+
+    def train() -> None:
+        with Run(RunOptions(out=str(out)), "demo") as run:
+            for step in run.iterations(3):
+                run.log_metrics(step, {"loss": 1.0})
+                run.save_checkpoint(step, good | (bad if step == 2 else {}))
+
+    with pytest.raises(
+        NonFiniteError, match=r"iteration 2 .* optimizer\.0\.exp_avg is"
+    ):
+        train()
+    info = json.loads((out / "run.json").read_text())
+    assert info["status"] == "failed"
+    (kept,) = (out / "checkpoints").iterdir()
+    assert str(kept) in (out / "log.txt").read_text()
+    with Run(RunOptions(resume=str(out)), "demo") as run:
+        assert torch.equal(run.load_checkpoint()["weight"], good["weight"])
+        assert list(run.iterations(3)) == [2, 3]
+
+
 def test_interrupt_is_status_130_and_says_how_to_go_on(
     capsys: pytest.CaptureFixture[str], tmp_path: Path, request: pytest.FixtureRequest
 ) -> None:
@@ -314,3 +338,36 @@ def test_defect_keeps_its_traceback() -> None:
 
     with pytest.raises(ZeroDivisionError):
         run_recipe(main, Config, [])
+
+
+# -- What people who wait are told -----------------------------------------------
+
+
+def test_what_is_loaded_is_said_before_it_is(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    told = []
+
+    def main(config: RunOptions) -> None:
+        told.append(capsys.readouterr().err)
+
+    run_recipe(main, RunOptions, [], loads="a_library_that_nobody_has_loaded")
+    run_recipe(main, RunOptions, [], loads="torch")  # it is there already
+    assert told == ["loading a_library_that_nobody_has_loaded\n", ""]
+
+
+def test_without_a_terminal_lines_tell_success_and_loss(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rlco.run.QUIET", 0.0)
+    logging.getLogger("rlco").setLevel(logging.INFO)
+    with Run(RunOptions(out=str(tmp_path / "run")), "toy") as run:
+        for iteration in run.iterations(2):
+            row = {"loss_bc": 0.5 / iteration, "frames": 7}
+            if iteration == 1:
+                row["success_sim"] = 0.25
+            run.log_metrics(iteration, row)
+    log = (tmp_path / "run" / "log.txt").read_text()
+    assert "toy: 1 of 2, loss_bc 0.5, success_sim 0.25" in log
+    # The last success that was measured stays.
+    assert "toy: 2 of 2, loss_bc 0.25, success_sim 0.25" in log

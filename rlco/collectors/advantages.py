@@ -75,7 +75,7 @@ def group_advantages(rollout: TensorDictBase, group_size: int) -> torch.Tensor:
 
 
 def check_signal(rollout: TensorDictBase) -> None:
-    """Check that a rollout tells better actions from worse ones.
+    """Check that a rollout distinguishes better actions from worse ones.
 
     Without it a policy that solves nothing under a sparse reward trains for hours on
     advantages that are zero, or a critic's noise, while all curves look healthy.

@@ -9,15 +9,18 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.envs import TransformedEnv
-from torchrl.envs.transforms import ExcludeTransform
+from torchrl.envs.transforms import Compose, ExcludeTransform
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives.value import GAE
 
 from rlco import keys
 from rlco.collectors.advantages import Advantage, group_advantages, normalize
+from rlco.collectors.rollout_checks import FiniteRollout, check_computed
 from rlco.envs.chunk_env import ChunkEnv
 from rlco.errors import ConfigError, DataError
 from rlco.policies import ValueHead
+
+_NEEDED = ("start_at", "start_in_groups", "horizon", "chunk")
 
 
 class RolloutCollector:
@@ -37,7 +40,8 @@ class RolloutCollector:
     before, so that a resumed run sees what an uninterrupted one sees.
 
     Args:
-        env: The simulator.
+        env: The simulator, of `rlco.envs.make_env`: iteration k starts episode k again,
+            which other environments of TorchRL cannot.
         policy: Writes `action` and what it needs to recompute its log-probability.
         critic: Writes `state_value` (N, 1); none with ``advantage="mc"``.
         gamma: Discount a decision; GAE's.
@@ -48,8 +52,9 @@ class RolloutCollector:
             the environment does not show.
 
     Raises:
-        ConfigError: "gae" without a critic, or groups of one episode.
-        RlcoError: The number of environments is no multiple of ``group_size``.
+        ConfigError: "gae" without a critic, groups of one episode, or an environment
+            of another kind.
+        RlcoError: The number of environments is not a multiple of ``group_size``.
 
     Example:
         >>> from rlco.envs import make_env
@@ -76,16 +81,19 @@ class RolloutCollector:
         group_size: int = 8,
         prepare: Callable[[TensorDictBase], None] | None = None,
     ) -> None:
+        _check_env(env)
         _check(critic, advantage, group_size)
         self._prepare = prepare
+        self._finite = FiniteRollout((policy, critic))
         self.env = env
         self.group_size = group_size if advantage == "mc" else 1
         env.start_in_groups(self.group_size)
         self.decisions = -(-env.horizon // env.chunk)
         # Text is not trained on, and costs more to stack than everything else.
-        quiet = TransformedEnv(env, ExcludeTransform(keys.INSTRUCTION))
+        quiet = ExcludeTransform(keys.INSTRUCTION)
+        checked = TransformedEnv(env, Compose(quiet, self._finite))
         self._collector = Collector(
-            quiet,
+            checked,
             policy,
             frames_per_batch=env.batch_size.numel() * self.decisions,
             total_frames=-1,
@@ -118,10 +126,19 @@ class RolloutCollector:
 
         Raises:
             DataError: the critic reads what next observations do not have.
+            NonFiniteError: a reward, an observation, an action or a value is NaN or
+                infinite.
         """
         self.env.start_at(iteration)
+        self._finite.iteration = iteration
         with set_exploration_type(ExplorationType.RANDOM):
             rollout = next(self._batches)
+        rollout = self._estimate(rollout)
+        check_computed(rollout, iteration)
+        return rollout
+
+    def _estimate(self, rollout: TensorDictBase) -> TensorDictBase:
+        """Add advantages, and what the critic learns from."""
         if self._gae is None:
             return rollout.set(
                 keys.ADVANTAGE, group_advantages(rollout, self.group_size)
@@ -153,6 +170,20 @@ def _check_next(rollout: TensorDictBase, critic: Any) -> None:
             f"the critic reads {missing[0]!r}, which the rollout's next observations "
             "do not have; add it with RolloutCollector(prepare=...), the summaries of "
             "a large model with add_next_summaries."
+        )
+
+
+def _check_env(env: Any) -> None:
+    """Check that an environment can start its k-th episode: iteration k plays that."""
+    missing = [name for name in _NEEDED if not hasattr(env, name)]
+    if missing:
+        raise ConfigError(
+            [
+                f"RolloutCollector plays environments of rlco.envs.make_env, and "
+                f"{type(env).__name__} has no {missing[0]!r}: it cannot start a given "
+                "episode again; collect from it with torchrl.collectors.Collector and "
+                "torchrl.objectives.value.GAE, as docs/environments.md shows"
+            ]
         )
 
 

@@ -6,6 +6,8 @@ from rlco.data.augment import Augmentation as Augmentation
 from rlco.data.demos import DemoMeta as DemoMeta
 from rlco.data.demos import DemoReplayBuffer as DemoReplayBuffer
 from rlco.data.demos import load_demos as load_demos
+from rlco.data.expert_demos import record_demonstrations as record_demonstrations
+from rlco.data.expert_demos import record_once as record_once
 from rlco.data.filming import film_demonstrations as film_demonstrations
 from rlco.data.instructions import InstructionText as InstructionText
 from rlco.data.quantiles import exact_quantiles as exact_quantiles

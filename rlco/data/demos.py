@@ -14,7 +14,7 @@ from torchrl.data import LazyMemmapStorage, LazyTensorStorage, TensorDictReplayB
 
 from rlco.data.augment import Augmentation
 from rlco.data.instructions import InstructionFromId
-from rlco.data.resize import pictures_of
+from rlco.data.resize import images_of
 from rlco.errors import ConfigError, DataError, OutputExistsError, suggest
 from rlco.keys import (
     ACTION,
@@ -69,7 +69,7 @@ class DemoReplayBuffer(TensorDictReplayBuffer):
     One row a frame, raw units; see ``load_demos`` for the keys. The instruction's
     text is not stored but looked up from its id when rows are read.
 
-    Set ``augmentation`` to change the pictures of the rows that ``sample`` draws, anew
+    Set ``augmentation`` to change the images of the rows that ``sample`` draws, anew
     at each draw and from the buffer's own generator; ``frames`` and indexing give them
     as they were recorded.
 
@@ -88,7 +88,7 @@ class DemoReplayBuffer(TensorDictReplayBuffer):
         self.augmentation: Augmentation | None = None
 
     def sample(self, *args: Any, **options: Any) -> Any:
-        """Draw rows, as TorchRL's buffers do, with pictures augmented where asked."""
+        """Draw rows, as TorchRL's buffers do, with images augmented where asked."""
         drawn = super().sample(*args, **options)
         if self.augmentation is not None:
             rows = drawn[0] if isinstance(drawn, tuple) else drawn
@@ -140,13 +140,13 @@ def load_demos(
         environment_dim: The same for the environment's state, which then must exist.
         image_key: The camera to read, for example ``"observation.images.front"``.
             None reads the camera where there is exactly one; False reads none.
-        image_size: Height and width of the pictures [pixels]: cut about their middle
+        image_size: Height and width of the images [pixels]: cut about their middle
             to this shape, then made smaller. None leaves them as they are.
         memmap: A new folder for the rows, memory-mapped; None keeps them in memory.
 
     Raises:
         DataError: The data set cannot be used as it is; the message says why.
-        ConfigError: ``chunk`` is no positive whole number.
+        ConfigError: ``chunk`` is not a positive integer.
         OutputExistsError: The ``memmap`` folder exists.
     """
     if chunk < 1:
@@ -176,8 +176,8 @@ def load_demos(
         buffer.extend(rows)
         return buffer
     start = 0
-    for images in pictures_of(folder, camera, image_size):
-        # One episode at a time: a memory map never holds all pictures in memory.
+    for images in images_of(folder, camera, image_size):
+        # One episode at a time: a memory map never holds all images in memory.
         part = rows[start : start + len(images)].set(IMAGE, images)
         buffer.extend(part)
         start += len(images)
@@ -262,7 +262,8 @@ def _check_sizes(folder: LeRobotFolder, sizes: Mapping[str, int | None]) -> None
             raise DataError(
                 f"feature {name!r} of data set {str(folder.path)!r} has "
                 f"{feature.size} numbers, but {size} are expected; give a data set of "
-                "the same robot and task, or rename= the feature that is meant."
+                "the same robot and task, or rename= the feature that is meant (sft "
+                "trains on another robot's data with task=null eval_episodes=0)."
             )
 
 

@@ -1,27 +1,32 @@
-"""Demonstrations by a task's scripted expert, with a camera's pictures."""
+"""Demonstrations by a task's scripted expert, with a camera's images."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.physics.camera import Camera
-from rlco.physics.demonstrate import Demonstration, demonstrate
-from rlco.physics.domain import Domain
-from rlco.physics.mended_model import Given
-from rlco.physics.native import NativeStepper
-from rlco.physics.task import InitialState, SceneState, Task
+from rlco.physics.effects.corrected_model import Given
+from rlco.physics.native.stepper import NativeStepper
+from rlco.physics.rendering.camera import Camera
+from rlco.physics.spec.domain import GivenDomain
+from rlco.physics.spec.task import InitialState, SceneState, Task
+from rlco.physics.tasks.demonstrate import (
+    Demonstration,
+    ExpertError,
+    demonstrate,
+)
 
-Pictures = NDArray[np.uint8]
+Images = NDArray[np.uint8]
 SIDE_BY_SIDE = 20  # episodes of the expert that run at once, at most
 
 
 def film_demonstrations(
     task: Task,
-    domain: Domain,
+    domain: GivenDomain,
     *,
     camera: str,
     image_size: tuple[int, int],
@@ -29,8 +34,8 @@ def film_demonstrations(
     seed: int,
     noise: float = 0.1,
     effects: Given = None,
-) -> Iterator[tuple[Demonstration, Pictures]]:
-    """Return what `rlco.physics.demonstrate.demonstrate` yields, and pictures of it.
+) -> Iterator[tuple[Demonstration, Images]]:
+    """Yield demonstrations, as `demonstrate` does, each with camera images.
 
     Each demonstration is played once more for the camera: drawing takes most of the
     time, and so none is spent on episodes that are dropped, nor on what follows a
@@ -40,7 +45,7 @@ def film_demonstrations(
         task: The task.
         domain: Where it is recorded; its camera stands where the domain says.
         camera: Name of one of the model's cameras.
-        image_size: Height and width of the pictures [pixels].
+        image_size: Height and width of the images [pixels].
         episodes: Successful episodes to yield.
         seed: Draws initial states, sensor noise and command noise.
         noise: Standard deviation of command noise, in units of the action's range.
@@ -69,6 +74,39 @@ def film_demonstrations(
     return (
         (one, _film(stage, eye, watch.start_of(one), one)) for one in demonstrations
     )
+
+
+def film_failure(
+    path: Path,
+    task: Task,
+    domain: GivenDomain,
+    failure: ExpertError,
+    *,
+    effects: Given = None,
+    image_size: tuple[int, int] = (240, 320),
+) -> None:
+    """Write the episode of an expert's failure as an mp4 video, in real time.
+
+    Args:
+        path: The video.
+        task: The task.
+        domain: Where the expert failed.
+        failure: What `demonstrate` raised.
+        effects: The effects that were added to the model.
+        image_size: Height and width of the frames [pixels].
+
+    Raises:
+        RenderingError: Nothing can render.
+    """
+    import imageio.v3 as imageio
+
+    stage = NativeStepper(task, domain, num_envs=1, effects=effects)
+    eye = Camera(stage.model, image_size)
+    episode = failure.episode
+    rng = np.random.default_rng([failure.seed, episode.number])
+    images = _film(stage, eye, task.sample(rng, None), episode.demonstration)
+    frames, rate = images.transpose(0, 2, 3, 1), task.control_frequency
+    imageio.imwrite(path, frames, fps=rate, codec="libx264")
 
 
 class _Watch:
@@ -110,11 +148,11 @@ class _Watch:
 
 def _film(
     stage: NativeStepper, eye: Camera, start: InitialState, played: Demonstration
-) -> Pictures:
-    """Return a picture of each state in which an action was taken."""
+) -> Images:
+    """Return an image of each state in which an action was taken."""
     stage.reset([start])
-    pictures = []
+    images = []
     for action in played.action:
-        pictures.append(eye.frame(stage.data[0]))
+        images.append(eye.frame(stage.data[0]))
         stage.step(action[None, None])
-    return np.stack(pictures)
+    return np.stack(images)

@@ -1,6 +1,6 @@
-"""Writing episodes without pictures to a LeRobot v3 data set, quickly.
+"""Writing episodes without images to a LeRobot v3 data set, quickly.
 
-``LeRobotDataset.save_episode`` maps a function that embeds pictures over every row,
+``LeRobotDataset.save_episode`` maps a function that embeds images over every row,
 also where there are none: two thirds of its 69 ms for an episode of 100 frames. The
 public metadata class and statistics function do the rest in 11 ms, so 300 episodes
 take 3 s instead of 21 s. Files, schema and statistics are the same.

@@ -37,7 +37,7 @@ class DemoWriter:
         robot_type: A word for the robot.
         camera: Name of one camera, kept as ``observation.images.<camera>``.
         image_size: Its (height, width) [pixels].
-        video: Keep the pictures as video (small, lossy) and not as PNG (exact).
+        video: Keep the images as video (small, lossy) and not as PNG (exact).
 
     Raises:
         OutputExistsError: The folder exists; nothing in it was touched.
@@ -74,7 +74,7 @@ class DemoWriter:
             raise ConfigError(problems)
         self._dataset = self._create(fps, robot_type, video)
         (self.path / UNFINISHED_MARK).touch()
-        # Pictures go through lerobot's own frame buffer, numbers through a quicker way.
+        # Images go through lerobot's own frame buffer, numbers through a quicker way.
         self._episodes = None if camera else LowDimEpisodes(self._dataset.meta)
         self._pending: list[Frame] = []
         self._open = True
@@ -132,7 +132,7 @@ class DemoWriter:
                 f"set records {self._camera or 'no camera'}."
             )
         if image is not None and self._camera is not None:
-            frame[self._camera] = self._picture(image)
+            frame[self._camera] = self._image(image)
         self._pending.append(frame)
 
     def save_episode(self) -> None:
@@ -239,7 +239,7 @@ class DemoWriter:
             )
         return array
 
-    def _picture(self, image: npt.ArrayLike) -> npt.NDArray[np.uint8]:
+    def _image(self, image: npt.ArrayLike) -> npt.NDArray[np.uint8]:
         array = np.asarray(image)
         wanted = (3, *(self._image_size or ()))
         if array.dtype != np.uint8 or array.shape != wanted:

@@ -1,4 +1,4 @@
-"""Recorded pictures in the size that a policy reads."""
+"""Recorded images in the size that a policy reads."""
 
 from __future__ import annotations
 
@@ -10,38 +10,38 @@ from torch.nn import functional
 from rlco.errors import DataError
 from rlco.lerobot_files import LeRobotFolder, iterate_images
 
-#: Pictures that are made smaller at once: as floats they are four times as large.
+#: Images that are made smaller at once: as floats they are four times as large.
 ROWS = 256
 
 
-def resized(pictures: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
-    """Cut pictures about their middle to the shape of ``size``, and make them smaller.
+def resized(images: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
+    """Cut images about their middle to the shape of ``size``, and make them smaller.
 
     Nothing is stretched: a simulated camera with the real one's vertical field of view
     shows things equally large.
 
     Args:
-        pictures: uint8 [B, 3, height, width].
-        size: height and width wanted, neither greater than the pictures' [pixels].
+        images: uint8 [B, 3, height, width].
+        size: height and width wanted, neither greater than the images' [pixels].
 
     Returns:
-        uint8 [B, 3, height, width]; the pictures themselves where they have that size.
+        uint8 [B, 3, height, width]; the images themselves where they have that size.
 
     Example:
         >>> wide = torch.zeros(2, 3, 480, 640, dtype=torch.uint8)
         >>> resized(wide, (64, 64)).shape
         torch.Size([2, 3, 64, 64])
     """
-    if tuple(pictures.shape[-2:]) == tuple(size):
-        return pictures
-    cut = _cut(pictures, size)
+    if tuple(images.shape[-2:]) == tuple(size):
+        return images
+    cut = _cut(images, size)
     return torch.cat([_smaller(rows, size) for rows in torch.split(cut, ROWS)])
 
 
-def pictures_of(
+def images_of(
     folder: LeRobotFolder, camera: str, size: tuple[int, int] | None
 ) -> Iterator[torch.Tensor]:
-    """Return one camera's pictures, an episode at a time.
+    """Return one camera's images, an episode at a time.
 
     Args:
         folder: What `rlco.lerobot_files.read_folder` returned.
@@ -52,13 +52,13 @@ def pictures_of(
         Of each episode uint8 [T, 3, height, width].
 
     Raises:
-        DataError: The pictures are smaller than ``size``, or cannot be read.
+        DataError: The images are smaller than ``size``, or cannot be read.
     """
     episodes = map(torch.from_numpy, iterate_images(folder, camera))
     if size is None:
         return episodes
     _check_large_enough(folder, camera, size)
-    return (resized(pictures, size) for pictures in episodes)
+    return (resized(images, size) for images in episodes)
 
 
 def _check_large_enough(
@@ -68,22 +68,22 @@ def _check_large_enough(
     sides = sorted(feature.shape)[1:]  # channels are fewest, first or last
     if min(sides) < min(size) or max(sides) < max(size):
         raise DataError(
-            f"pictures of {camera!r} of data set {str(folder.path)!r} have shape "
+            f"images of {camera!r} of data set {str(folder.path)!r} have shape "
             f"{feature.shape}, too small for image_size={size}; give a smaller "
-            "image_size=, or record larger pictures."
+            "image_size=, or record larger images."
         )
 
 
-def _smaller(pictures: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
+def _smaller(images: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
     smooth = functional.interpolate(
-        pictures.float(), size, mode="bilinear", antialias=True, align_corners=False
+        images.float(), size, mode="bilinear", antialias=True, align_corners=False
     )
     return smooth.round().clamp(0, 255).to(torch.uint8)
 
 
-def _cut(pictures: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
-    height, width = pictures.shape[-2:]
+def _cut(images: torch.Tensor, size: tuple[int, int]) -> torch.Tensor:
+    height, width = images.shape[-2:]
     rows = min(height, round(width * size[0] / size[1]))
     columns = min(width, round(height * size[1] / size[0]))
     top, left = (height - rows) // 2, (width - columns) // 2
-    return pictures[..., top : top + rows, left : left + columns]
+    return images[..., top : top + rows, left : left + columns]

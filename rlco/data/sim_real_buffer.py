@@ -44,7 +44,7 @@ class SimRealReplayBuffer:
 
     Raises:
         ConfigError: A ratio outside [0, 1], a missing member, a batch too small to
-            hold a row of each, or a member that cannot be mixed; all told together.
+            hold a row of each, or a member that cannot be mixed; all reported together.
 
     Example:
         >>> from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
@@ -207,7 +207,7 @@ class SimRealReplayBuffer:
         """Continue from a folder that ``dumps`` wrote.
 
         Raises:
-            CheckpointError: It is no such folder, or of another ratio or members.
+            CheckpointError: It is not such a folder, or its ratio or members differ.
         """
         path = Path(path)
         if not (path / "mixing.json").is_file():

@@ -6,28 +6,33 @@ import math
 import shutil
 import tempfile
 import weakref
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from rlco.data.demos import DemoReplayBuffer, load_demos
+from rlco.data.recorded_task import RecordedTask
 from rlco.errors import DataError, suggest
+from rlco.keys import ACTION
 from rlco.lerobot_files import LeRobotFolder, read_folder
-from rlco.options import rename_map
-from rlco.physics.task import Task
+from rlco.physics.spec.actions import TOLERANCE
+from rlco.physics.spec.task import Task
+from rlco.runs.options import rename_map
 
 if TYPE_CHECKING:  # robosuite takes a second to import
-    from rlco.physics.robosuite_tasks import RobosuiteTask
+    from rlco.physics.robosuite.tasks import RobosuiteTask
 
 PREFIX = "observation.images."
-#: Pictures beyond this are kept in a temporary file and read as they are drawn [bytes].
+#: Images beyond this are kept in a temporary file and read as they are drawn [bytes].
 IN_MEMORY = 2**30
 
 
 def load_task_demos(
     path: str | Path,
-    task: Task | RobosuiteTask,
+    task: Task | RobosuiteTask | RecordedTask,
     *,
     chunk: int,
+    episodes: Iterable[int] | None = None,
     rename: str = "",
     image_size: tuple[int, int] | None = None,
     camera: str | None = None,
@@ -39,23 +44,25 @@ def load_task_demos(
         path: A LeRobot folder, v2.1 or v3.
         task: The task; its instructions give the ids.
         chunk: Steps H of an action chunk.
+        episodes: Indices of the episodes to load; None: all.
         rename: Features with other names, as `rename_map` reads them.
-        image_size: Height and width of the pictures [pixels]; None reads none. More
+        image_size: Height and width of the images [pixels]; None reads none. More
             than a gigabyte of them is memory-mapped, in a folder that goes with the
             buffer.
-        camera: Which pictures: ``front``, or the feature's whole name; None: those of
+        camera: Which images: ``front``, or the feature's whole name; None: those of
             the only camera.
         environment_state: Whether object poses must be there.
 
     Raises:
         ConfigError: `rename` cannot be read.
-        DataError: The data set cannot be used, or was recorded at another rate.
+        DataError: The data set cannot be used, was recorded at another rate, or has
+            actions beyond the task's limit.
     """
     names = rename_map(rename)
     key: str | Literal[False] = False
     memmap = None
     if image_size is not None:
-        folder = read_folder(path, rename=names)
+        folder = read_folder(path, episodes=episodes, rename=names)
         key = camera_key(folder, camera)
         frames = sum(episode.length for episode in folder.episodes)
         if 3 * math.prod(image_size) * frames > IN_MEMORY:
@@ -65,6 +72,7 @@ def load_task_demos(
         demos = load_demos(
             path,
             chunk=chunk,
+            episodes=episodes,
             rename=names,
             instructions=task.instructions,
             action_dim=len(task.action_names),
@@ -80,25 +88,53 @@ def load_task_demos(
         raise
     if memmap is not None:
         weakref.finalize(demos, shutil.rmtree, memmap.parent, ignore_errors=True)
-    if demos.meta.fps != task.control_frequency:
-        raise DataError(
-            f"data set {str(path)!r} has {demos.meta.fps:g} frames a second, but "
-            f"{task.name!r} is controlled at {task.control_frequency} Hz; record or "
-            "resample it at that rate, as an action chunk counts frames."
-        )
+    check_commands(demos, task)
     return demos
 
 
-def camera_key(folder: LeRobotFolder, camera: str | None) -> str:
-    """Return the feature that holds a camera's pictures.
+def check_commands(
+    demos: DemoReplayBuffer, task: Task | RobosuiteTask | RecordedTask
+) -> None:
+    """Check that what demonstrations command is what a task's robot is commanded.
 
     Raises:
-        DataError: There are no pictures, or none of that camera, or of several.
+        DataError: They have another rate, or actions beyond the task's limit.
+    """
+    where = f"data set {str(demos.meta.path)!r}"
+    if demos.meta.fps != task.control_frequency:
+        raise DataError(
+            f"{where} has {demos.meta.fps:g} frames per second, but "
+            f"{task.name!r} is controlled at {task.control_frequency} Hz; record or "
+            "resample it at that rate, as an action chunk counts frames."
+        )
+    if task.action_limit is None:
+        return
+    actions = demos.frames()[ACTION]
+    beyond = actions.abs() > task.action_limit + TOLERANCE
+    if beyond.any():
+        number = int(actions.abs().amax(0).argmax())
+        low, high = float(actions[:, number].min()), float(actions[:, number].max())
+        name, limit = task.action_names[number], task.action_limit
+        raise DataError(
+            f"{where} has actions from {low:.4g} to {high:.4g} under {name!r} (number "
+            f"{number}), and {int(beyond.any(1).sum())} of {len(actions)} frames "
+            f"beyond [-{limit:g}, {limit:g}], to which {task.name!r} would clip them; "
+            "divide each number by the largest move that 1 stands for, leave out the "
+            "episodes (episodes=), or train a robot that is commanded otherwise with "
+            "task=null."
+        )
+
+
+def camera_key(folder: LeRobotFolder, camera: str | None) -> str:
+    """Return the feature that holds a camera's images.
+
+    Raises:
+        DataError: There are no images, or none of that camera, or of several.
     """
     where = f"data set {str(folder.path)!r}"
     if not folder.cameras:
         raise DataError(
-            f"{where} has no pictures; record them (record_demos: camera=agentview "
+            f"{where} has no images; record them (record_demos: camera=agentview "
             "image_size=64), or give image=none."
         )
     short = [name.removeprefix(PREFIX) for name in folder.cameras]

@@ -49,7 +49,7 @@ def canonical(
     num_envs: int = 1,
     chunk: int = 1,
 ) -> EnvBase:
-    """Return copies of any TorchRL environment, with the entries of `rlco.keys`.
+    """Return worlds of any TorchRL environment, with the entries of `rlco.keys`.
 
     Args:
         make: Builds one environment with bounded actions: of batch size [] or [1], or
@@ -64,7 +64,7 @@ def canonical(
         image: The entry that holds camera frames, uint8.
         channels_last: Whether frames are [height, width, C] rather than CHW.
         horizon: Control steps after which an episode is truncated.
-        num_envs: N, how many copies are stepped one after the other.
+        num_envs: N, how many worlds are stepped one after the other.
         chunk: H, control steps a decision; a done ends the chunk.
 
     Raises:
@@ -109,7 +109,7 @@ def canonical(
         return transformed(first)
     built = [first]
 
-    # Chunks are executed by each copy alone: one may end within its chunk.
+    # Chunks are executed by each world alone: one may end within its chunk.
     def single() -> EnvBase:
         # Without a device, specs would say "cpu" and texts would not.
         env = (built.pop() if built else make()).to("cpu")
@@ -190,7 +190,7 @@ def from_vla(
     num_envs: int = 1,
     chunk: int = 1,
 ) -> EnvBase:
-    """Return copies of an environment of TorchRL's VLA schema under rlco's keys.
+    """Return worlds of an environment of TorchRL's VLA schema under rlco's keys.
 
     ``ToyVLAEnv``, ``LiberoEnv`` and ``LiberoWrapper`` have that schema. It holds
     state, frame and text already; the text's index and chunks are added.
@@ -200,7 +200,7 @@ def from_vla(
         success: A function of the observations; by default the entry ``success``.
         instructions: Every instruction there is; by default the one of the specs.
         horizon: Control steps after which an episode is truncated.
-        num_envs: N, how many copies are stepped one after the other.
+        num_envs: N, how many worlds are stepped one after the other.
         chunk: H, control steps a decision.
 
     Raises:
@@ -243,14 +243,14 @@ def from_mujoco(
     num_envs: int = 1,
     chunk: int = 1,
 ) -> EnvBase:
-    """Return copies of one of TorchRL's own MuJoCo environments under rlco's keys.
+    """Return worlds of one of TorchRL's own MuJoCo environments under rlco's keys.
 
     Args:
         make: Builds one, ``lambda: Walker2dEnv(backend="mujoco")`` for instance; its
             ``max_episode_steps`` is the horizon.
         success: A function of the observations: these environments know none.
         instruction: What the task is called in words.
-        num_envs: N, how many copies are stepped one after the other.
+        num_envs: N, how many worlds are stepped one after the other.
         chunk: H, control steps a decision.
 
     Raises:

@@ -14,7 +14,8 @@ from torchrl.envs import EnvBase
 
 from rlco import keys
 from rlco.errors import RlcoError, SimulationError
-from rlco.physics.task import Array
+from rlco.physics.spec.actions import LIMIT, ActionRange
+from rlco.physics.spec.task import Array
 
 RewardKind = Literal["shaped", "sparse"]
 OnDivergence = Literal["reset", "raise"]
@@ -63,11 +64,14 @@ class ChunkEnv(EnvBase):
     simulation says nothing of the task: a value of zero would teach the policy to
     avoid, or to seek, what breaks the simulator. `divergences` counts them.
 
+    Actions beyond [-1, 1] are clipped, the first time with a warning; ten times beyond
+    it they are refused, as such numbers are in another unit.
+
     Args:
         task: What the task is.
         num_envs: N, the batch size.
         chunk: H, control steps a decision.
-        action_size: A, numbers in an action, each in [-1, 1].
+        action_size: A, dimension of an action, whose entries are in [-1, 1].
         horizon: Episode length in control steps; the task's own by default.
         seed: Draws the episodes.
         on_divergence: ``reset``, or ``raise`` a `SimulationError`.
@@ -100,7 +104,8 @@ class ChunkEnv(EnvBase):
         self._episode = np.zeros(num_envs, dtype=np.int64)
         self._elapsed = np.zeros(num_envs, dtype=np.int64)
         self._instruction_id = np.zeros(num_envs, dtype=np.int64)
-        self.action_spec = Bounded(-1.0, 1.0, (num_envs, chunk, action_size))
+        self.action_spec = Bounded(-LIMIT, LIMIT, (num_envs, chunk, action_size))
+        self._action_range = ActionRange()
         self.reward_spec = Unbounded((num_envs, 1))
         flag = Categorical(2, (num_envs, 1), dtype=torch.bool)
         self.done_spec = Composite(
@@ -113,17 +118,17 @@ class ChunkEnv(EnvBase):
     ) -> None:
         """Set the specs of what is observed."""
         (n,) = self.batch_size
-        seen: dict[str, object] = {
+        observed: dict[str, object] = {
             "state": Unbounded((n, state)),
             "environment_state": Unbounded((n, environment_state)),
         }
         if image_size:
-            seen["image"] = Bounded(0, 255, (n, 3, *image_size), dtype=torch.uint8)
+            observed["image"] = Bounded(0, 255, (n, 3, *image_size), dtype=torch.uint8)
         texts = self.task.instructions
         flag = Categorical(2, (n, 1), dtype=torch.bool)
         self.observation_spec = Composite(
             {
-                keys.OBSERVATION: Composite(seen, shape=(n,)),
+                keys.OBSERVATION: Composite(observed, shape=(n,)),
                 keys.INSTRUCTION: NonTensor((n,), example_data=texts[0]),
                 keys.INSTRUCTION_ID: Categorical(len(texts), (n,), dtype=torch.int64),
                 keys.SUCCESS: flag.clone(),
@@ -165,7 +170,7 @@ class ChunkEnv(EnvBase):
         ``(k * N + i) // size``, with N / size of them at once.
 
         Raises:
-            RlcoError: If N is no multiple of the size.
+            RlcoError: If N is not a multiple of the size.
         """
         (n,) = self.batch_size
         if size < 1 or n % size:
@@ -190,6 +195,7 @@ class ChunkEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         actions = tensordict.get(keys.ACTION).numpy().astype(np.float64)
+        self._action_range.check(actions)
         steps = np.minimum(self.chunk, self.horizon - self._elapsed)
         reward, diverged = self._advance(actions, steps)
         self._elapsed += steps

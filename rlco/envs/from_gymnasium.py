@@ -33,7 +33,7 @@ def from_gymnasium(
     chunk: int = 1,
     **options: Any,
 ) -> EnvBase:
-    """Return copies of a Gymnasium environment under rlco's keys.
+    """Return worlds of a Gymnasium environment under rlco's keys.
 
     Observations are one vector, or a dictionary with LeRobot's names: ``agent_pos``
     becomes the state, ``environment_state`` the environment's, ``pixels`` the image.
@@ -49,7 +49,7 @@ def from_gymnasium(
             ``agent_pos``.
         horizon: Control steps after which an episode is truncated, beside what the
             environment does itself.
-        num_envs: N, how many copies are stepped one after the other.
+        num_envs: N, how many worlds are stepped one after the other.
         chunk: H, control steps a decision.
         options: Go to ``gymnasium.make`` with an id.
 

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, Literal
 
 from rlco.envs.chunk_env import ON_DIVERGENCE, ChunkEnv, OnDivergence, RewardKind
 from rlco.envs.robosuite_env import make_robosuite_env
-from rlco.envs.tabletop_env import Stepper, TabletopEnv
+from rlco.envs.tabletop_env import TabletopEnv
 from rlco.errors import RlcoError, UnknownNameError
-from rlco.physics.camera import Quality, check_quality
-from rlco.physics.copy_checks import check_native
-from rlco.physics.domain import Domain, make_domain
-from rlco.physics.mended_model import Given, given_effects
-from rlco.physics.native import NativeStepper
-from rlco.physics.robosuite_options import PREFIX
-from rlco.physics.robosuite_stepper import RobosuiteStepper
-from rlco.physics.task import Task, make_task
-from rlco.physics.variations import check_variation_of, domain_in
+from rlco.physics.effects import load_code
+from rlco.physics.effects.corrected_model import Given
+from rlco.physics.effects.effects_file import EffectsFile
+from rlco.physics.native.stepper import NativeStepper
+from rlco.physics.native.world_checks import check_native
+from rlco.physics.rendering.camera import Quality, check_quality
+from rlco.physics.robosuite.options import PREFIX
+from rlco.physics.robosuite.stepper import RobosuiteStepper
+from rlco.physics.spec.domain import GivenDomain, make_domain, with_effects
+from rlco.physics.spec.stepper import Stepper
+from rlco.physics.spec.task import Task
+from rlco.physics.tasks.make_task import make_task
+from rlco.physics.tasks.named_task import check_robosuite_domain
+from rlco.physics.tasks.variations import check_variation_of, domain_in
 
 Backend = Literal["native", "robosuite"]
 
@@ -25,7 +31,7 @@ Backend = Literal["native", "robosuite"]
 def make_env(
     task: str | Task,
     *,
-    domain: str | Domain = "sim",
+    domain: GivenDomain = "sim",
     backend: Backend = "native",
     num_envs: int = 1,
     chunk: int = 1,
@@ -35,6 +41,7 @@ def make_env(
     image_quality: Quality = "fast",
     variation: str | None = None,
     effects: Given = None,
+    effects_code: str | Path | None = None,
     seed: int = 0,
     threads: int | None = None,
     exact: bool = False,
@@ -45,21 +52,23 @@ def make_env(
 
     Args:
         task: A task or its name; ``robosuite:Lift`` is robosuite's own Lift.
-        domain: A domain or its name: ``sim`` or ``stand_in``.
+        domain: A domain, its name (``sim`` or ``stand_in``), or the path of its file,
+            such as the ``effects.yaml`` that the gap workflow writes.
         backend: ``native`` steps the model in threads; ``robosuite`` lets robosuite
             step, about six times slower. The motion is the same up to
             rounding, which contacts enlarge; with ``exact=True`` to the last bit.
         num_envs: Batch size N.
-        chunk: Control steps H a decision; actions have shape (N, H, 7).
+        chunk: Control steps H a decision; actions have shape (N, H, A).
         reward: ``shaped`` or ``sparse``.
         horizon: Episode length in control steps; the task's own by default.
         image_size: Height and width of camera frames; None: no images.
         image_quality: ``fast``, or ``robosuite`` for robosuite's own pixels, about ten
             times slower.
         variation: A named variation of the scene, one of the task's.
-        effects: Physical effects to add to the model: a list of
+        effects: Physical effects to add to the domain's: a list of
             `rlco.physics.effects.AppliedEffect`, or the path of an ``effects.yaml``.
             The robot's controller does not know of them.
+        effects_code: Python file that registers effects of your own.
         seed: Draws initial states and sensor noise.
         threads: Threads of the native backend; by default one a core.
         exact: Let the native backend compute with robosuite's own linear algebra,
@@ -73,13 +82,13 @@ def make_env(
         UnknownNameError: If a name is unknown.
         RlcoError: If a number is out of range, options do not go together, or an
             effect cannot be applied.
-        DataError: If the effects' file cannot be read.
+        DataError: If the domain's or the effects' file cannot be read.
         RenderingError: If images are asked for and nothing can render.
 
     Example:
         >>> env = make_env("push_cube", num_envs=2, chunk=4, seed=1)
         >>> rollout = env.rollout(3)
-        >>> rollout["action"].shape  # (environments, decisions, control steps, 7)
+        >>> rollout["action"].shape  # (environments, decisions, control steps, A)
         torch.Size([2, 3, 4, 7])
         >>> rollout["observation", "state"].shape
         torch.Size([2, 3, 7])
@@ -106,9 +115,11 @@ def make_env(
             "image_size=(height, width), or leave it out."
         )
     check_native(backend, threads=threads, exact=exact)
-    given = given_effects(effects)
+    load_code(effects_code)
+    domain = with_effects(make_domain(domain), effects)
     if isinstance(task, str) and task.startswith(PREFIX):
-        _refuse_for_robosuite(task, domain, image_size, variation)
+        _refuse_for_robosuite(task, image_size, variation)
+        check_robosuite_domain(task, domain)
         return make_robosuite_env(
             task.removeprefix(PREFIX),
             backend=backend,
@@ -121,14 +132,14 @@ def make_env(
             exact=exact,
             on_divergence=on_divergence,
             options=robosuite_options or {},
-            effects=given,
+            effects=EffectsFile(domain.effects) if domain.effects else None,
         )
     if robosuite_options:
         raise RlcoError(
             f"robosuite_options= is for robosuite's own tasks, such as {PREFIX}Lift; "
             "leave it out."
         )
-    task, domain = make_task(task), make_domain(domain)
+    task = make_task(task)
     check_variation_of(task, variation)
     domain = domain_in(domain, variation)
     stepper: Stepper
@@ -141,7 +152,6 @@ def make_env(
             exact=exact,
             variation=variation,
             on_divergence="mark",
-            effects=given,
         )
     else:
         stepper = RobosuiteStepper(
@@ -150,7 +160,6 @@ def make_env(
             num_envs=num_envs,
             variation=variation,
             on_divergence="mark",
-            effects=given,
         )
     return TabletopEnv(
         task,
@@ -169,13 +178,9 @@ def make_env(
 
 
 def _refuse_for_robosuite(
-    task: str,
-    domain: str | Domain,
-    image_size: tuple[int, int] | None,
-    variation: str | None,
+    task: str, image_size: tuple[int, int] | None, variation: str | None
 ) -> None:
     for name, given, given_at_all in (
-        ("domain", domain, domain != "sim"),
         ("image_size", image_size, image_size is not None),
         ("variation", variation, variation is not None),
     ):

@@ -11,17 +11,18 @@ from numpy.typing import NDArray
 
 from rlco.envs.chunk_env import ChunkEnv, OnDivergence, RewardKind
 from rlco.errors import RlcoError
-from rlco.physics.arm_control import Array
 from rlco.physics.effects.effects_file import EffectsFile
-from rlco.physics.robosuite_batch import BatchStep, RobosuiteBatch
-from rlco.physics.robosuite_envs import RobosuiteEnvs
-from rlco.physics.robosuite_options import check_one_arm, check_options
-from rlco.physics.robosuite_tasks import (
+from rlco.physics.native.robosuite_batch import RobosuiteBatch
+from rlco.physics.robosuite.envs import RobosuiteEnvs
+from rlco.physics.robosuite.options import check_one_arm, check_options
+from rlco.physics.robosuite.tasks import (
     ENVIRONMENT_STATE,
     STATE,
     RobosuiteTask,
     make_plain,
 )
+from rlco.physics.spec.control import Array
+from rlco.physics.spec.stepper import BatchStep
 
 # Options that `make_env` has by another name, or of another kind.
 _OURS = {
@@ -31,7 +32,7 @@ _OURS = {
 
 
 class Batch(Protocol):
-    """What a backend offers: N copies of a robosuite environment."""
+    """What a backend offers: N worlds of a robosuite environment."""
 
     @property
     def action_size(self) -> int:
@@ -42,7 +43,7 @@ class Batch(Protocol):
         """Robosuite's check of the present state, shape (N,)."""
 
     def reset(self, seeds: list[int], which: NDArray[np.int64]) -> dict[str, Array]:
-        """Start episodes in the copies `which`; return all observations."""
+        """Start episodes in the worlds `which`; return all observations."""
 
     def step(self, actions: Array, steps: NDArray[np.int64]) -> BatchStep:
         """Execute chunks (N, H, A)."""
@@ -61,7 +62,7 @@ class RobosuiteEnv(ChunkEnv):
 
     Args:
         task: The task.
-        backend: The copies, which mark those that diverge.
+        backend: The worlds, which mark those that diverge.
         num_envs: N, the batch size.
         chunk: H, control steps a decision.
         horizon: Episode length in control steps; the task's own by default.
@@ -93,9 +94,9 @@ class RobosuiteEnv(ChunkEnv):
         )
         self.backend = backend
         self._start(np.arange(num_envs), list(range(num_envs)))
-        seen = self._seen()
+        observed = self._seen()
         self._observe_as(
-            seen["state"].shape[1], seen["environment_state"].shape[1], None
+            observed["state"].shape[1], observed["environment_state"].shape[1], None
         )
 
     def episode_seed(self, index: int) -> int:

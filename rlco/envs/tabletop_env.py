@@ -2,51 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Protocol
-
-import mujoco
 import numpy as np
 import torch
 from numpy.typing import NDArray
 
 from rlco.envs.chunk_env import ChunkEnv, OnDivergence, RewardKind
-from rlco.physics.camera import Camera, Quality
-from rlco.physics.domain import Domain
-from rlco.physics.observation import STATE_NAMES, noise_size, observe
-from rlco.physics.task import Array, InitialState, SceneState, Task
-
-
-class Stepper(Protocol):
-    """What a backend offers: N copies of a task's model."""
-
-    @property
-    def model(self) -> mujoco.MjModel:
-        """The compiled model."""
-
-    def model_of(self, number: int) -> mujoco.MjModel:
-        """Return one copy's own model; valid until the next call."""
-
-    @property
-    def data(self) -> Sequence[object]:
-        """MuJoCo's state of each copy."""
-
-    @property
-    def diverged(self) -> NDArray[np.bool_]:
-        """Which copies have diverged since their reset, shape (N,)."""
-
-    def reset(
-        self, initial: list[InitialState], which: NDArray[np.int64] | None = None
-    ) -> SceneState:
-        """Start episodes in the copies `which`; return all states, (N,)."""
-
-    def step(
-        self, actions: Array, steps: NDArray[np.int64] | None = None
-    ) -> SceneState:
-        """Execute chunks (N, H, 7); return states (N, H + 1)."""
-
-    def reported_state(self) -> SceneState:
-        """Return the present state as the robot's encoders tell it, (N,)."""
+from rlco.physics.rendering.camera import Camera, Quality
+from rlco.physics.spec.domain import Domain
+from rlco.physics.spec.observation import noise_size, observe
+from rlco.physics.spec.stepper import Stepper
+from rlco.physics.spec.task import Array, InitialState, SceneState, Task
 
 
 class TabletopEnv(ChunkEnv):
@@ -55,13 +20,13 @@ class TabletopEnv(ChunkEnv):
     Args:
         task: The task.
         domain: What differs from the simulator as built.
-        stepper: The backend's copies, which mark those that diverge.
+        stepper: The backend's worlds, which mark those that diverge.
         num_envs: N, the batch size.
         chunk: H, control steps a decision.
         reward: ``shaped`` or ``sparse``.
         horizon: Episode length in control steps; the task's own by default.
         image_size: Height and width of camera frames; None: no images.
-        image_quality: ``fast`` or ``robosuite``, see `rlco.physics.camera.Camera`.
+        image_quality: ``fast`` or ``robosuite``, see `Camera`.
         variation: A named variation of the task's initial states.
         seed: Draws initial states and sensor noise.
         on_divergence: ``reset`` or ``raise``.
@@ -89,7 +54,7 @@ class TabletopEnv(ChunkEnv):
             task,
             num_envs=num_envs,
             chunk=chunk,
-            action_size=7,
+            action_size=len(task.action_names),
             horizon=horizon,
             seed=seed,
             on_divergence=on_divergence,
@@ -108,7 +73,7 @@ class TabletopEnv(ChunkEnv):
         self._noise = np.zeros((num_envs, decisions + 1, noise_size(task)))
         self._state: SceneState | None = None
         self._observe_as(
-            len(STATE_NAMES), len(task.environment_state_names), image_size
+            len(task.state_names), len(task.environment_state_names), image_size
         )
 
     def initial_state(self, index: int) -> InitialState:
@@ -140,7 +105,7 @@ class TabletopEnv(ChunkEnv):
         return np.where(executed, rewards, 0.0).sum(axis=1), diverged
 
     def _render(self, which: NDArray[np.int64]) -> None:
-        """Renew the frames of the copies that have moved."""
+        """Renew the frames of the worlds that have moved."""
         if self._camera is not None:
             for env in which.tolist():
                 data, model = self.stepper.data[env], self.stepper.model_of(env)
@@ -151,13 +116,13 @@ class TabletopEnv(ChunkEnv):
         noise = self._noise[np.arange(row.size), row]
         reported = self.stepper.reported_state()
         robot, environment = observe(self.task, self.domain, reported, noise)
-        seen = {
+        observed = {
             "state": torch.from_numpy(robot).float(),
             "environment_state": torch.from_numpy(environment).float(),
         }
         if self._camera is not None:
-            seen["image"] = torch.from_numpy(self._images.copy())
-        return seen
+            observed["image"] = torch.from_numpy(self._images.copy())
+        return observed
 
     def _solved(self) -> NDArray[np.bool_]:
         return self.task.success(self._present)

@@ -1,4 +1,4 @@
-"""The comparison that fits a log: how a robot and its recordings become a problem."""
+"""Choose the comparison that fits a log: from a robot and recordings to a problem."""
 
 from __future__ import annotations
 
@@ -8,55 +8,141 @@ from dataclasses import replace
 import numpy as np
 
 from rlco.errors import DataError
-from rlco.gap.arm_rollouts import ArmRollouts
-from rlco.gap.log import Log, Recording
+from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.compare.comparisons import Compared
+from rlco.gap.compare.noise import position_noise
+from rlco.gap.compare.problem import Hypothesis, Problem
+from rlco.gap.compare.servo.bench import ServoBench
+from rlco.gap.logs.log import Log, Recording
 from rlco.gap.logs.matching import few
 from rlco.gap.logs.names import match_names
-from rlco.gap.model import LoadedModel
-from rlco.gap.noise import position_noise
-from rlco.gap.problem import Hypothesis, Problem
-from rlco.gap.task_problem import holds_actions, make_task_problem
-from rlco.physics.observation import ACTION_NAMES
-from rlco.physics.task import TASK_NAMES
+from rlco.gap.model import LoadedModel, load_servo
+from rlco.gap.servo_models import PREFIX, SERVOS, Servo
+from rlco.physics.effects.targets import servo_joints
+from rlco.physics.mj.libmujoco import silenced_warnings
+from rlco.physics.spec.names import ACTION_NAMES, TASK_NAMES
 
-FEWEST = 6  # recordings, or parts of them, to fit and to hold out
-SHOT = 0.4  # seconds of a rollout of a robot that does not forget where it started
-GROWTH = 2.0  # by which an error may grow in a robot that does
-SHORTEST = 1.0  # seconds of a part of a recording
+FEWEST = 6  # recordings, or parts of them, for fitting and holding out
+SEGMENT = 0.4  # length of a rollout for a robot that keeps its initial error [s]
+GROWTH = 2.0  # growth of an initial error that marks such a robot
+SHORTEST = 1.0  # shortest part of a recording [s]
 
 
-def make_problem(loaded: LoadedModel, log: Log, *, threads: int = 2) -> Problem:
-    """Return how this log is compared with simulation.
+def make_problem(
+    loaded: LoadedModel,
+    log: Log,
+    *,
+    threads: int = 2,
+    compare: Compared | None = None,
+) -> Problem:
+    """Return the comparison of this log with simulation.
 
     Args:
         loaded: The robot's model.
         log: Its recordings.
-        threads: Rollouts at a time.
+        threads: Rollouts that run in parallel.
+        compare: ``torques`` for these where the log has commands, too; None for what
+            it has, commands before torques.
 
     Raises:
         DataError: If the log holds nothing that can be compared.
     """
+    if loaded.servo is not None:
+        return _on_bench(loaded.servo, log)
+    _refuse_gains(loaded, log)
+    log = _with_hint(log)
     first = log.recordings[0]
     task = loaded.task if loaded.task in TASK_NAMES else None
     unknown = [name for name in log.actuators if name not in loaded.actuators]
-    if task and holds_actions(log) and not _name_joints(log, loaded):
-        return make_task_problem(task, log, threads=threads)
+    if task:
+        # robosuite, which a model of one's own need not wait for.
+        from rlco.gap.demos.task_problem import holds_actions, make_task_problem
+
+        if holds_actions(log) and not _name_joints(log, loaded):
+            return make_task_problem(task, log, threads=threads)
     if first.pose is not None:
-        from rlco.gap.free_body import FreeBody
+        from rlco.gap.compare.free_body import FreeBody
 
         return FreeBody(loaded.spec, log, threads=threads)
     if first.command is not None and unknown:
         raise DataError(_other_actions(log, loaded, ACTION_NAMES if task else ()))
-    if first.command is not None and first.position is not None and log.actuators:
+    sent = first.command is not None and first.position is not None and log.actuators
+    if sent and compare != "torques":
         return _commanded(loaded, in_parts(log), threads)
     if first.torque is not None and first.position is not None:
-        from rlco.gap.torque_log import TorqueLog
+        from rlco.gap.compare.torque.convention import torque_problem
 
-        return TorqueLog(loaded.spec, in_parts(log))
+        return torque_problem(loaded.spec, in_parts(log))
     raise DataError(
         "the log holds neither commands and positions, nor torques and positions, nor "
         "a free body's pose: record one of these."
     )
+
+
+def as_compared(loaded: LoadedModel, problem: Problem) -> LoadedModel:
+    """Return the model that a problem compares: a servo with the log's pendulum."""
+    if not isinstance(problem, ServoBench):
+        return loaded
+    return load_servo(problem.servo, problem.pendulums[0])
+
+
+def _on_bench(servo: Servo, log: Log) -> ServoBench:
+    """Return a servo on its bench.
+
+    Raises:
+        DataError: If the log is of another servo, or not of a bench.
+    """
+    devices = {recording.device for recording in log.recordings} - {"", servo.name}
+    if devices:
+        raise DataError(
+            f"the log is of {few(sorted(devices))} and model={PREFIX}{servo.name} is "
+            f"another servo; give the log's own as model={PREFIX}NAME (known: "
+            f"{', '.join(SERVOS)}), or recordings of {servo.name}."
+        )
+    return ServoBench(servo, log)
+
+
+def _refuse_gains(loaded: LoadedModel, log: Log) -> None:
+    """Raise where recordings of several gains are for a model that has one stiffness.
+
+    Raises:
+        DataError: Says which gains.
+    """
+    gains = sorted({r.facts["kp"] for r in log.recordings if "kp" in r.facts})
+    if len(gains) < 2:
+        return
+    device = log.recordings[0].device
+    servo = PREFIX + (device if device in SERVOS else "SERVO")
+    raise DataError(
+        f"the log is of a servo under {len(gains)} gains of its firmware, kp "
+        f"{few([f'{gain:g}' for gain in gains])}, and model {loaded.name!r} has one "
+        f"stiffness; give model={servo} (known: {', '.join(SERVOS)}), which has the "
+        "firmware, or recordings of one gain."
+    )
+
+
+def _with_hint(log: Log) -> Log:
+    """Return a log that says so where its servo is known, and its model is another."""
+    device = log.recordings[0].device
+    if device not in SERVOS:
+        return log
+    hint = (
+        f"These are recordings of {device} on a bench: model={PREFIX}{device} compares "
+        "them with its firmware and its drive, which the model given does not have."
+    )
+    return replace(log, notes=(*log.notes, hint))
+
+
+def compared_in(problem: Problem) -> Compared:
+    """Return what a problem compares."""
+    from rlco.gap.compare.torque.torque_log import TorqueLog
+    from rlco.gap.demos.replay.task_space import TaskSpaceProblem
+
+    if isinstance(problem, TorqueLog):
+        return "torques"
+    if isinstance(problem, TaskSpaceProblem):
+        return "task"
+    return "positions" if problem.log.body is None else "poses"
 
 
 def _name_joints(log: Log, loaded: LoadedModel) -> bool:
@@ -65,7 +151,7 @@ def _name_joints(log: Log, loaded: LoadedModel) -> bool:
 
 
 def _other_actions(log: Log, loaded: LoadedModel, own: Sequence[str]) -> str:
-    """Say that a log's actions are nothing that this model can be sent."""
+    """Return a message that a log's actions match no inputs of this model."""
     joints = "commands of joints, " if _name_joints(log, loaded) else ""
     sent = f"the log's {len(log.actuators)} actions ({few(log.actuators)}) are {joints}"
     theirs = f"{len(loaded.actuators)} actuators ({few(loaded.actuators, 3) or 'none'})"
@@ -83,29 +169,42 @@ def _other_actions(log: Log, loaded: LoadedModel, own: Sequence[str]) -> str:
 
 def _commanded(loaded: LoadedModel, log: Log, threads: int) -> Problem:
     noise = np.asarray(position_noise(log).deviation)
-    whole = ArmRollouts(loaded.spec, log, noise, threads=threads)
-    if forgets(whole):
-        return whole
-    return ArmRollouts(loaded.spec, log, noise, horizon=SHOT, threads=threads)
+    whole_recordings = ArmRollouts(loaded.spec, log, noise, threads=threads)
+    if forgets(whole_recordings) or _diverges(whole_recordings):
+        return whole_recordings
+    return ArmRollouts(loaded.spec, log, noise, horizon=SEGMENT, threads=threads)
+
+
+def _diverges(problem: ArmRollouts) -> bool:
+    """Return whether a robot with servos diverges, which is then the model's fault.
+
+    Without feedback, a rollout may also diverge under a correct model.
+    """
+    if not set(problem.log.joints) <= set(servo_joints(problem.model)):
+        return False
+    return not np.isfinite(problem.residuals([Hypothesis()])).all()
 
 
 def forgets(problem: ArmRollouts) -> bool:
-    """Return whether a rollout ends in the same place from a slightly wrong start."""
+    """Return whether rollouts converge from slightly different initial states."""
     slight = 10.0 * problem.noise
-    first = [shot for shot in problem.shots if shot.recording == 0][:1]
+    first = [segment for segment in problem.segments if segment.recording == 0][:1]
     moved = replace(first[0], state=first[0].state + np.stack([slight, 0.0 * slight]))
-    rows = [problem.simulate(Hypothesis(), [shot]) for shot in (first[0], moved)]
+    with silenced_warnings():
+        rows = [
+            problem.simulate(Hypothesis(), [segment]) for segment in (first[0], moved)
+        ]
     if not np.isfinite(rows).all():
         return False
     apart = np.abs(rows[1] - rows[0]).reshape(-1, len(slight)) / slight
-    late = apart[len(apart) // 4 :]
-    return bool(apart.max() < 3.0 * GROWTH and late.max() < GROWTH)
+    later = apart[len(apart) // 4 :]
+    return bool(apart.max() < 3.0 * GROWTH and later.max() < GROWTH)
 
 
 def in_parts(log: Log) -> Log:
-    """Return a log with enough parts, so that some can be held out.
+    """Return a log with enough parts to hold some of them out.
 
-    Long recordings are cut, each part to start from what was measured there.
+    Long recordings are cut, and each part starts from its own measured state.
     """
     if len(log.recordings) >= FEWEST:
         return log

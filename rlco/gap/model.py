@@ -1,4 +1,4 @@
-"""The user's model: an MJCF file or a robosuite task, ready to be compiled often."""
+"""The user's model: an MJCF file, a robosuite task or a servo."""
 
 from __future__ import annotations
 
@@ -8,25 +8,31 @@ from pathlib import Path
 import mujoco
 
 from rlco.errors import RlcoError, UnknownNameError
-from rlco.gap.slim import compile_whole, slim_down, slim_whole
+from rlco.gap import servo_models
+from rlco.gap.prune import compile_whole, prune, prune_whole
+from rlco.gap.servo_models import Pendulum, Servo, pendulum_xml, servo_named
 from rlco.physics.effects import targets
 
-#: Before the name of a robosuite task, where a file's path is expected.
+#: Prefix of a robosuite task's name, given in place of a file's path.
 PREFIX = "robosuite:"
+# A placeholder until the recordings, which give the pendulum, are read.
+_ANY = Pendulum(mass=0.5, length=0.1, volts=5.0)
 
 
 @dataclass(frozen=True)
 class LoadedModel:
-    """A model as the user has it, and what of it decides the motion.
+    """The user's model, and the pruned spec that has the same motion.
 
     Attributes:
         name: Its name, or its file's.
-        spec: The slim spec: the same motion, see `rlco.gap.slim.slim_down`. Copy it
+        spec: The pruned spec: the same motion, see `rlco.gap.prune.prune`. Copy it
             before changing it.
-        model: What `spec` compiles to.
-        source: The user's own XML, to mend.
-        path: Where it lies; None for a robosuite task.
+        model: `spec`, compiled.
+        source: The user's own XML, to correct.
+        path: Its file; None for a robosuite task and for a servo.
         task: Name of the robosuite task, if it is one.
+        servo: The servo, if the model is a servo on its bench.
+        pendulum: The servo's load.
     """
 
     name: str
@@ -35,6 +41,8 @@ class LoadedModel:
     source: str
     path: Path | None = None
     task: str | None = None
+    servo: Servo | None = None
+    pendulum: Pendulum | None = None
 
     @property
     def joints(self) -> tuple[str, ...]:
@@ -48,29 +56,33 @@ class LoadedModel:
 
     @property
     def free_bodies(self) -> tuple[str, ...]:
-        """Names of the bodies that a free joint lets fly."""
+        """Names of the bodies on a free joint."""
         return targets.free_bodies(self.model)
 
 
 def load_model(model: str | Path) -> LoadedModel:
-    """Load an MJCF file, or ``robosuite:TASK``.
+    """Load an MJCF file, ``robosuite:TASK`` or ``bam:SERVO``.
 
     Args:
         model: A file that MuJoCo reads (MJCF or URDF), ``robosuite:push_cube`` for
-            one of rlco's own tasks, or ``robosuite:Lift`` for one of robosuite's.
+            one of rlco's own tasks, ``robosuite:Lift`` for one of robosuite's, or
+            ``bam:xl330`` for a servo on BAM's bench.
 
     Raises:
-        RlcoError: There is no such file, or MuJoCo does not compile it: its own words
-            are in the message.
-        UnknownNameError: There is no such task.
+        RlcoError: There is no such file, or MuJoCo cannot compile it; the message
+            quotes MuJoCo.
+        UnknownNameError: There is no such task, or no such servo.
     """
+    if str(model).startswith(servo_models.PREFIX):
+        name = str(model).removeprefix(servo_models.PREFIX)
+        return load_servo(servo_named(name), _ANY)
     if str(model).startswith(PREFIX):
         return _load_task(str(model))
     path = Path(model)
     if not path.is_file():
         raise RlcoError(
-            f"model {str(path)!r} is no file; give an MJCF file, or a task as "
-            f"model={PREFIX}push_cube."
+            f"model {str(path)!r} is not a file; give an MJCF file, or a task as "
+            f"model={PREFIX}push_cube, or a servo as model={servo_models.PREFIX}xl330."
         )
     try:
         spec = mujoco.MjSpec.from_file(str(path))
@@ -79,7 +91,7 @@ def load_model(model: str | Path) -> LoadedModel:
         raise RlcoError(
             f"model {str(path)!r} does not compile; MuJoCo says: {_on_one_line(error)}"
         ) from None
-    slim = slim_whole(whole)
+    slim = prune_whole(whole)
     return LoadedModel(
         name=_name(spec, path.stem),
         spec=slim,
@@ -89,31 +101,33 @@ def load_model(model: str | Path) -> LoadedModel:
     )
 
 
-def without_contact(loaded: LoadedModel) -> LoadedModel:
-    """Return a model in which nothing touches: for motion in free space.
+def load_servo(servo: Servo, pendulum: Pendulum) -> LoadedModel:
+    """Return the model of a servo that drives a pendulum.
 
-    The meshes of a robot's links take a hundred times longer to compile than all
-    else. Use it only where no contact of the full model is active.
+    Example:
+        >>> from rlco.gap.servo_models import SERVOS
+        >>> load_servo(SERVOS["xl330"], Pendulum(0.5, 0.1, 5.0)).actuators
+        ('servo',)
     """
-    spec = loaded.spec.copy()
-    spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
-    slim = slim_down(spec)
+    source = pendulum_xml(servo, pendulum)
+    spec = mujoco.MjSpec.from_string(source)
     return LoadedModel(
-        name=loaded.name,
-        spec=slim,
-        model=slim.copy().compile(),
-        source=loaded.source,
-        path=loaded.path,
-        task=loaded.task,
+        name=servo.name,
+        spec=spec,
+        model=spec.copy().compile(),
+        source=source,
+        servo=servo,
+        pendulum=pendulum,
     )
 
 
 def _load_task(name: str) -> LoadedModel:
-    # robosuite takes seconds to import, which a model of one's own need not wait for.
-    from rlco.physics.quiet_robosuite import robosuite
-    from rlco.physics.robosuite_tasks import make_plain
-    from rlco.physics.tabletop import Tabletop, make_robosuite
-    from rlco.physics.task import TASK_NAMES
+    # robosuite takes seconds to import, which users' own models should not wait for.
+    from rlco.physics.robosuite.robosuite_api import robosuite
+    from rlco.physics.robosuite.tabletop import Tabletop
+    from rlco.physics.robosuite.tasks import make_plain
+    from rlco.physics.spec.names import TASK_NAMES
+    from rlco.physics.tasks.plain_robosuite import make_robosuite
 
     task = name.removeprefix(PREFIX)
     # The class of rlco's own tasks registers itself beside robosuite's.
@@ -122,7 +136,7 @@ def _load_task(name: str) -> LoadedModel:
         raise UnknownNameError("task", task, (*TASK_NAMES, *theirs))
     env = make_robosuite(task) if task in TASK_NAMES else make_plain(task)
     source = env.edit_model_xml(env.model.get_xml())
-    slim = slim_down(mujoco.MjSpec.from_string(source))
+    slim = prune(mujoco.MjSpec.from_string(source))
     return LoadedModel(
         name=task,
         spec=slim,
@@ -133,7 +147,7 @@ def _load_task(name: str) -> LoadedModel:
 
 
 def _name(spec: mujoco.MjSpec, stem: str) -> str:
-    # MuJoCo's own name of a model that has none.
+    # The second is MuJoCo's default for a model without a name.
     return stem if spec.modelname in ("", "MuJoCo Model") else str(spec.modelname)
 
 

@@ -1,7 +1,7 @@
 """LeRobot folders (v2.1 and v3) read and checked without torch or lerobot.
 
-``read_folder`` reads the metadata, ``read_columns`` the numbers and
-``iterate_images`` the pictures, PNG or video. Every defect raises ``DataError``.
+``read_folder`` reads the metadata, ``read_columns`` the numeric features and
+``iterate_images`` the images, PNG or video. Every defect raises ``DataError``.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The numbers of a LeRobot folder: each parquet file is read once."""
+"""Read the numeric features of a LeRobot folder, each parquet file once."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ def read_columns(folder: LeRobotFolder, names: Iterable[str]) -> dict[str, Array
     """Read numeric features of all the folder's episodes, one after the other.
 
     Args:
-        folder: What ``read_folder`` returned.
+        folder: Result of ``read_folder``.
         names: Features, by their names after renaming.
 
     Returns:
-        One array a name: shape (frames, *feature shape), without the last axis
-        where the feature is one number, in the data set's dtype and units.
+        One array per name: shape (frames, *feature shape), without the last axis
+        where the feature is a single number, in the data set's dtype and units.
 
     Raises:
-        DataError: A feature is missing or no number, a file is damaged, a value is
+        DataError: If a feature is missing or not numeric, a file is damaged, a value is
             missing, NaN or infinite, or the frames are not those listed.
     """
     features = {name: folder.feature(name) for name in names}
@@ -71,10 +71,10 @@ def _read_file(
 
 
 def read_stored_columns(file: Path, stored_names: Sequence[str]) -> pa.Table:
-    """Read columns by their names in the file, with those that index frames.
+    """Read columns by their names in the file, and those that index frames.
 
     Raises:
-        DataError: The file is damaged or lacks a column.
+        DataError: If the file is damaged or lacks a column.
     """
     asked = list(dict.fromkeys([*stored_names, "episode_index", "frame_index"]))
     table = read_table(file, asked)
@@ -90,7 +90,7 @@ def episode_rows(
     """Return each episode's rows of a table, in the order of its frames.
 
     Raises:
-        DataError: An episode has other frames than its metadata say.
+        DataError: If an episode has other frames than its metadata lists.
     """
     episode = np.asarray(table["episode_index"].to_numpy())
     frame = np.asarray(table["frame_index"].to_numpy())
@@ -128,7 +128,7 @@ def _to_array(file: Path, column: pa.ChunkedArray, feature: Feature) -> Array:
     if flat.size != rows * feature.size:
         raise DataError(
             f"column {name!r} of file {str(file)!r} holds {flat.size / max(rows, 1):g} "
-            f"numbers a frame, but meta/info.json says {feature.size}."
+            f"numbers per frame, but meta/info.json says {feature.size}."
         )
     return flat.reshape(rows, *(() if feature.shape == (1,) else feature.shape))
 
@@ -149,6 +149,6 @@ def _check_finite(folder: LeRobotFolder, name: str, column: Array) -> None:
     raise DataError(
         f"feature {name!r}{number} of data set {str(folder.path)!r} is NaN or infinite "
         f"in {int(bad.sum())} of {len(column)} frames, first in episode "
-        f"{episode.index} at frame {row - int(ends[which]) + episode.length}; mend it, "
-        "or leave the episode out with episodes=."
+        f"{episode.index} at frame {row - int(ends[which]) + episode.length}; correct "
+        "it, or leave the episode out with episodes=."
     )

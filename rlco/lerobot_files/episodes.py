@@ -1,4 +1,4 @@
-"""The lists of tasks and episodes, which v2.1 and v3 keep differently."""
+"""The lists of tasks and episodes, which v2.1 and v3 store differently."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any, Literal, NoReturn
 
 from rlco.errors import DataError
-from rlco.lerobot_files.schema import Episode, VideoSpan, format_indices
+from rlco.lerobot_files.schema import Episode, VideoSpan
 from rlco.lerobot_files.tables import has_footer, read_jsonl, read_table
+from rlco.runs.indices import format_indices
 
 _DATA_V2 = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
 _VIDEO_V2 = (
@@ -31,7 +32,7 @@ def tasks_v3(path: Path) -> dict[int, str]:
     """Return the task texts of a v3 folder by their index."""
     file = path / "meta" / "tasks.parquet"
     table = read_table(file).to_pydict()
-    # pandas keeps the text as the index, whose column name depends on the writer.
+    # pandas stores the text as the index, whose column name depends on the writer.
     texts = table.get("task", table.get("__index_level_0__"))
     if texts is None or "task_index" not in table:
         raise DataError(f"file {str(file)!r} has no columns task and task_index.")
@@ -69,13 +70,13 @@ def episodes_v3(
     """List the episodes of a v3 folder, many of which share a file.
 
     Raises:
-        DataError: The recording was never finished, or a table is damaged.
+        DataError: If the recording was never finished, or a table is damaged.
     """
     total = int(info.get("total_episodes") or 0)
     files = sorted((path / "meta" / "episodes").rglob("*.parquet"))
     data_files = sorted((path / "data").rglob("*.parquet"))
-    # LeRobot writes the footers of its last table and of its last data file at the
-    # very end: both are lacking together only where finalize() did not run.
+    # LeRobot writes the footers of its last table and of its last data file at the very
+    # end: both are missing together only where finalize() did not run.
     if (
         total
         and not (files and has_footer(files[-1]))
@@ -122,7 +123,7 @@ def _locate(row: dict[str, Any], prefix: str, template: str, **key: str) -> str:
 
 
 def raise_unfinished(path: Path, reason: str) -> NoReturn:
-    """Say that a recording was never finished."""
+    """Raise the error for a recording that was never finished."""
     raise DataError(
         f"data set {str(path)!r} is an unfinished recording ({reason}); record it "
         "again, or remove it."
@@ -134,13 +135,13 @@ def select(
     listed: Sequence[Episode],
     wanted: Iterable[int] | Literal["present"] | None,
 ) -> tuple[Episode, ...]:
-    """Return the wanted episodes, in the order asked for; None wants all.
+    """Return the requested episodes, in the order requested; None requests all.
 
-    ``present`` wants those whose file is there.
+    ``present`` requests those whose file exists.
 
     Raises:
-        DataError: An index is unknown or twice there, or an episode's file is
-            missing; the message says which are there.
+        DataError: If an index is unknown or repeated, or an episode's file is missing;
+            the message lists those that exist.
     """
     by_index = {episode.index: episode for episode in listed}
     if wanted == "present":

@@ -1,4 +1,4 @@
-"""The metadata of a LeRobot folder: read, checked, made uniform over versions."""
+"""The metadata of a LeRobot folder: read, checked, and unified across versions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from rlco.lerobot_files.episodes import (
 )
 from rlco.lerobot_files.schema import Feature, LeRobotFolder
 
-#: Lies in a folder from the first moment of its recording to the last.
+#: Exists in a folder from the start of its recording to the end.
 UNFINISHED_MARK = "meta/unfinished"
 
 
@@ -31,16 +31,16 @@ def read_folder(
 ) -> LeRobotFolder:
     """Read and check the metadata of a local LeRobot folder, v2.1 or v3.
 
-    Nothing is downloaded, and neither numbers nor pictures are read yet.
+    Nothing is downloaded, and neither numeric features nor images are read yet.
 
     Args:
-        path: The folder that holds ``meta/info.json``.
+        path: The folder that contains ``meta/info.json``.
         episodes: Episode indices to read, in this order; None for all, ``present``
-            for those whose file is there.
-        rename: ``{"their.name": "our.name"}`` for features named otherwise.
+            for those whose file exists.
+        rename: ``{"their.name": "our.name"}`` for features with other names.
 
     Raises:
-        DataError: The folder is missing, is no LeRobot folder, is of another
+        DataError: If the folder is missing, is not a LeRobot folder, has another
             version, was never finished, is damaged, or lacks files of an episode.
 
     Example:
@@ -124,7 +124,7 @@ def _features(path: Path, info: dict[str, Any]) -> dict[str, Feature]:
                 f"shape in meta/info.json: {entry!r}."
             ) from None
         names = tuple(_flat_names(entry.get("names")))
-        # Pictures name their axes, not their numbers.
+        # For images, the names are those of axes, not of dimensions.
         if len(names) == feature.size and not feature.is_camera:
             feature = replace(feature, names=names)
         features[name] = feature

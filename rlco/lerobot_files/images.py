@@ -1,4 +1,4 @@
-"""The pictures of a LeRobot folder: PNG in the parquet files, or video."""
+"""Read the images of a LeRobot folder: PNG in the parquet files, or video."""
 
 from __future__ import annotations
 
@@ -26,18 +26,18 @@ Images = npt.NDArray[np.uint8]
 def iterate_images(folder: LeRobotFolder, name: str) -> Iterator[Images]:
     """Decode one camera, one episode at a time, in the order of the episodes.
 
-    Only one episode's pictures are in memory at once, beside the compressed ones
-    of one file.
+    Only one episode's images are in memory at once, besides the compressed ones of one
+    file.
 
     Args:
-        folder: What ``read_folder`` returned.
+        folder: Result of ``read_folder``.
         name: The camera, by its name after renaming.
 
     Yields:
         Shape (frames, 3, height, width), RGB.
 
     Raises:
-        DataError: The feature is no camera, or a picture is missing or damaged.
+        DataError: If the feature is not a camera, or an image is missing or damaged.
     """
     feature = folder.feature(name)
     if feature.dtype == "image":
@@ -45,7 +45,7 @@ def iterate_images(folder: LeRobotFolder, name: str) -> Iterator[Images]:
     if feature.dtype == "video":
         return _iterate_video(folder, feature)
     raise DataError(
-        f"feature {name!r} of data set {str(folder.path)!r} is no camera; cameras: "
+        f"feature {name!r} of data set {str(folder.path)!r} is not a camera; cameras: "
         f"{', '.join(folder.cameras) or 'none'}."
     )
 
@@ -68,11 +68,11 @@ def _iterate_png(folder: LeRobotFolder, feature: Feature) -> Iterator[Images]:
 def _decode_png(episode: Episode, frame: int, cell: Any) -> Images:
     content = cell.get("bytes") if isinstance(cell, dict) else None
     where = (
-        f"the picture of frame {frame} of episode {episode.index} in file "
+        f"the image of frame {frame} of episode {episode.index} in file "
         f"{str(episode.data_file)!r}"
     )
     if not isinstance(content, bytes):
-        raise DataError(f"{where} is not in the file; embed the pictures in it.")
+        raise DataError(f"{where} is not in the file; embed the images in it.")
     try:
         with PIL.Image.open(io.BytesIO(content)) as image:
             return np.asarray(image.convert("RGB"))
@@ -86,7 +86,7 @@ def _iterate_video(folder: LeRobotFolder, feature: Feature) -> Iterator[Images]:
         if not span.file.is_file():
             raise DataError(
                 f"video file {str(span.file)!r} of episode {episode.index} is missing; "
-                "copy it, or leave the pictures out (load_demos: image_key=False)."
+                "copy it, or leave the images out (load_demos: image_key=False)."
             )
     timestamps = np.split(
         np.asarray(read_columns(folder, ["timestamp"])["timestamp"], np.float64),
@@ -96,7 +96,7 @@ def _iterate_video(folder: LeRobotFolder, feature: Feature) -> Iterator[Images]:
         frames = _decode_video(span, span.start + times, 0.5 / folder.fps)
         if len(frames) < episode.length:
             raise DataError(
-                f"video file {str(span.file)!r} has no picture for frame {len(frames)} "
+                f"video file {str(span.file)!r} has no image for frame {len(frames)} "
                 f"of episode {episode.index}, at {span.start + times[len(frames)]:.3f} "
                 "s; copy it again, or leave the episode out."
             )
@@ -106,13 +106,13 @@ def _iterate_video(folder: LeRobotFolder, feature: Feature) -> Iterator[Images]:
 def _decode_video(
     span: VideoSpan, times: npt.NDArray[np.float64], tolerance: float
 ) -> list[Images]:
-    """Return the frames shown at ``times`` [s], up to the first one not found."""
+    """Return the frames at ``times`` [s], up to the first one not found."""
     frames: list[Images] = []
     try:
         with av.open(str(span.file)) as container:
             stream = container.streams.video[0]
             if stream.time_base is not None:
-                # To the key frame at or before the first time; the rest is skipped.
+                # Seek to the key frame at or before the first time, then skip.
                 container.seek(int(times[0] / stream.time_base), stream=stream)
             for frame in container.decode(stream):
                 if len(frames) == len(times) or frame.time is None:
@@ -133,6 +133,6 @@ def _stack(episode: Episode, frames: list[Images]) -> Images:
     sizes = {frame.shape for frame in frames}
     if len(sizes) > 1:
         raise DataError(
-            f"the pictures of episode {episode.index} differ in size: {sorted(sizes)}."
+            f"the images of episode {episode.index} differ in size: {sorted(sizes)}."
         )
     return np.ascontiguousarray(np.stack(frames).transpose(0, 3, 1, 2))

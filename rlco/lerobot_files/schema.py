@@ -1,9 +1,9 @@
-"""What a LeRobot folder says about itself, as plain frozen data."""
+"""The description of a LeRobot folder, as plain frozen data."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,9 +16,9 @@ class Feature:
 
     Attributes:
         stored_name: Its name in the files, before any renaming.
-        dtype: LeRobot's word: ``float32``, ``int64``, ``image``, ``video``, ...
+        dtype: LeRobot's type name: ``float32``, ``int64``, ``image``, ``video``, ...
         shape: Shape of one frame's value.
-        names: One name a number, or None where the data set gives none.
+        names: Name of each dimension, or None where the data set gives none.
     """
 
     stored_name: str
@@ -28,18 +28,18 @@ class Feature:
 
     @property
     def size(self) -> int:
-        """How many numbers one frame's value holds."""
+        """Number of values per frame."""
         return math.prod(self.shape)
 
     @property
     def is_camera(self) -> bool:
-        """Whether the feature is a picture, kept as PNG or as video."""
+        """Whether the feature is an image, stored as PNG or as video."""
         return self.dtype in ("image", "video")
 
 
 @dataclass(frozen=True)
 class VideoSpan:
-    """Where an episode's pictures lie: a file and its first frame's time [s]."""
+    """Location of an episode's images: a file and its first frame's time [s]."""
 
     file: Path
     start: float
@@ -65,11 +65,11 @@ class LeRobotFolder:
     Attributes:
         path: The folder.
         version: ``"v2.1"`` or ``"v3.x"``.
-        fps: Frames a second [1/s].
-        robot_type: The recorder's word for the robot, if it gave one.
+        fps: Frame rate [1/s].
+        robot_type: The recorder's name of the robot, if it gave one.
         features: By name, after renaming.
         tasks: Task text by task index.
-        episodes: Those selected, in the order asked for.
+        episodes: Those selected, in the order requested.
     """
 
     path: Path
@@ -82,14 +82,15 @@ class LeRobotFolder:
 
     @property
     def cameras(self) -> tuple[str, ...]:
-        """Names of the features that are pictures."""
+        """Names of the features that are images."""
         return tuple(name for name, f in self.features.items() if f.is_camera)
 
     def feature(self, name: str) -> Feature:
         """Return one feature.
 
         Raises:
-            DataError: No such feature; lists those there and offers ``rename=``.
+            DataError: If there is no such feature; lists the existing ones and suggests
+                ``rename=``.
         """
         if name not in self.features:
             raise DataError(
@@ -99,19 +100,3 @@ class LeRobotFolder:
                 f"in a recipe rename=ITS_NAME:{name}."
             )
         return self.features[name]
-
-
-def format_indices(indices: Iterable[int]) -> str:
-    """Write sorted indices as short ranges.
-
-    Example:
-        >>> format_indices([0, 1, 2, 5, 7, 8])
-        '0-2, 5, 7-8'
-    """
-    runs: list[list[int]] = []
-    for index in sorted(indices):
-        if runs and index == runs[-1][1] + 1:
-            runs[-1][1] = index
-        else:
-            runs.append([index, index])
-    return ", ".join(f"{a}-{b}" if b > a else f"{a}" for a, b in runs)

@@ -1,4 +1,4 @@
-"""Reading parquet and JSON lines, with damage told in one sentence."""
+"""Read parquet and JSON lines, and report damage in one sentence."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from rlco.errors import DataError
 
 
 def read_table(file: Path, columns: list[str] | None = None) -> pa.Table:
-    """Read a parquet file; columns that it lacks are left out.
+    """Read a parquet file; columns that it lacks are skipped.
 
     Raises:
-        DataError: It is missing, cut short or damaged.
+        DataError: If it is missing, truncated or damaged.
     """
     try:
         with pq.ParquetFile(file) as parquet:
@@ -31,10 +31,10 @@ def read_table(file: Path, columns: list[str] | None = None) -> pa.Table:
 
 
 def read_jsonl(file: Path) -> list[dict[str, Any]]:
-    """Read one JSON object a line.
+    """Read one JSON object per line.
 
     Raises:
-        DataError: The file is missing, cut short or damaged.
+        DataError: If the file is missing, truncated or damaged.
     """
     try:
         lines = file.read_text().splitlines()
@@ -48,7 +48,7 @@ def read_jsonl(file: Path) -> list[dict[str, Any]]:
 
 
 def has_footer(file: Path) -> bool:
-    """Whether a parquet file was closed by its writer (and not cut since)."""
+    """Return whether a parquet file is complete: closed by its writer and uncut."""
     size = file.stat().st_size
     with file.open("rb") as stream:
         stream.seek(max(size - 4, 0))

@@ -3,6 +3,4 @@
 from rlco.losses.co_training import CoTrainingLoss as CoTrainingLoss
 from rlco.losses.gradient_agreement import gradient_agreement as gradient_agreement
 from rlco.losses.imitation import ImitationLoss as ImitationLoss
-from rlco.losses.learner import Learner as Learner
 from rlco.losses.log_probs import log_probs as log_probs
-from rlco.losses.master_weights import MasterWeightAdamW as MasterWeightAdamW

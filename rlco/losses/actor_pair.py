@@ -78,7 +78,7 @@ class ActorPair(LossModule):
     # -- One actor, whatever is done to this module ----------------------------
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        super().__setstate__(state)  # Copies and unpickled losses come this way.
+        super().__setstate__(state)  # Worlds and unpickled losses come this way.
         _reunite(self)
 
     def _apply(self, fn: Any) -> ActorPair:
@@ -136,17 +136,39 @@ def _parameters_of(loss: LossModule) -> TensorDictParams:
     return TensorDict.from_module(loss.actor_network, as_module=True)
 
 
+def actor_problems(option: str, loss: object) -> list[str]:
+    """Return what a loss lacks to be trained beside another on one actor.
+
+    Args:
+        option: what it was given as, for the message.
+        loss: the loss.
+    """
+    name = type(loss).__name__
+    if not isinstance(loss, LossModule):
+        return [
+            f"{option} is a {name}, but a torchrl.objectives.LossModule is needed: "
+            "subclass that, as docs/own_loss.md shows"
+        ]
+    if getattr(loss, "actor_network", None) is None:
+        return [
+            f"{option}, a {name}, has no actor_network that could be shared; in its "
+            "constructor call self.convert_to_functional(actor, 'actor_network')"
+        ]
+    if loss.functional and getattr(loss, "actor_network_params", None) is None:
+        return [
+            f"{option}, a {name}, has functional=True but no actor_network_params; "
+            "call self.convert_to_functional(actor, 'actor_network') where it keeps "
+            "its actor, or let its property functional return False"
+        ]
+    return []
+
+
 def check_same_actor(sim_loss: LossModule, real_loss: LossModule) -> None:
     """Check that two losses train the very same parameters.
 
     Raises:
         ConfigError: they were built from two actors.
     """
-    for loss in (sim_loss, real_loss):
-        if getattr(loss, "actor_network", None) is None:
-            raise ConfigError(
-                [f"{type(loss).__name__} has no actor_network that could be shared"]
-            )
     sim, real = actor_parameters(sim_loss), actor_parameters(real_loss)
     if sim.keys() != real.keys() or any(sim[name] is not real[name] for name in sim):
         raise ConfigError(

@@ -13,8 +13,8 @@ from torchrl.objectives import LossModule
 
 from rlco.errors import ConfigError, DataError, UnknownNameError
 from rlco.keys import REAL, SIM
-from rlco.losses import child
-from rlco.losses.actor_pair import ActorPair, check_same_actor
+from rlco.losses import ppo_keys
+from rlco.losses.actor_pair import ActorPair, actor_problems, check_same_actor
 
 _ROOTS = (SIM, REAL)
 _COEFFICIENTS = ("sim_coeff", "real_coeff")
@@ -57,8 +57,9 @@ class CoTrainingLoss(ActorPair):
     ``sim_loss`` (of ``real_loss`` where there is no ``sim_loss``) and are handed on.
 
     Raises:
-        ConfigError: two actors, a loss that is missing, a reduction that keeps rows,
-            coefficients that are negative or both 0, or output names that collide.
+        ConfigError: two actors, a loss that is missing, is no LossModule or shows no
+            actor, a reduction that keeps rows, coefficients that are negative or both
+            0, or output names that collide.
         DataError: in ``forward``, a root or its advantages are missing.
 
     Example:
@@ -101,7 +102,7 @@ class CoTrainingLoss(ActorPair):
         super().__init__(sim_loss, real_loss)
         self._active = tuple(root for root in _ROOTS if coefficients[root] != 0)
         for root in _ROOTS:
-            # A fixed 0 is no state: a state dict with another value must not load.
+            # A fixed 0 is not part of the state: other values must not load.
             self.register_buffer(
                 f"{root}_coeff",
                 torch.tensor(coefficients[root]),
@@ -157,7 +158,7 @@ class CoTrainingLoss(ActorPair):
                 f"the batch has no root {key!r}; give it {root} data, or build the "
                 f"loss with {root}_coeff=0."
             )
-        for needed in child.precomputed_keys(loss):
+        for needed in ppo_keys.precomputed_keys(loss):
             if data.get(needed, None) is None:
                 raise DataError(
                     f"the root {key!r} has no {needed!r}; run an advantage estimator "
@@ -179,7 +180,7 @@ class CoTrainingLoss(ActorPair):
         keys: list[NestedKey] = []
         for root in self._active:
             path = _as_tuple(getattr(self.tensor_keys, root))
-            inner = child.input_keys(self._loss_on(root))
+            inner = ppo_keys.input_keys(self._loss_on(root))
             keys += [path + _as_tuple(key) for key in inner]
         return keys
 
@@ -195,7 +196,7 @@ class CoTrainingLoss(ActorPair):
         keys: list[NestedKey] = []
         for root in self._active:
             suffix = "_real" if root == REAL else ""
-            keys += [key + suffix for key in child.output_keys(self._loss_on(root))]
+            keys += [key + suffix for key in ppo_keys.output_keys(self._loss_on(root))]
         return keys
 
     @out_keys.setter
@@ -223,6 +224,8 @@ class CoTrainingLoss(ActorPair):
 
     def __setattr__(self, name: str, value: Any) -> None:
         root = name.removesuffix("_coeff")
+        if name in _COEFFICIENTS and (problem := _coefficient_problem(name, value)):
+            raise ConfigError([problem])
         if (
             name in _COEFFICIENTS
             and root not in self.__dict__.get("_active", _ROOTS)
@@ -235,6 +238,13 @@ class CoTrainingLoss(ActorPair):
                 ]
             )
         super().__setattr__(name, value)
+
+
+def _coefficient_problem(name: str, value: Any) -> str | None:
+    number = float(value)
+    if math.isfinite(number) and number >= 0:
+        return None
+    return f"{name}={number} must be finite and >= 0"
 
 
 _SUMMED = "which trainers would add to the loss; a term is named loss_*"
@@ -255,13 +265,15 @@ def _check(
     problems = []
     for root, coefficient in coefficients.items():
         loss = losses[root]
-        if not math.isfinite(coefficient) or coefficient < 0:
-            problems.append(f"{root}_coeff={coefficient} must be finite and >= 0")
+        if problem := _coefficient_problem(f"{root}_coeff", coefficient):
+            problems.append(problem)
         if loss is None and coefficient != 0:
             problems.append(
                 f"{root}_loss is None but {root}_coeff={coefficient}; give a loss or "
                 f"{root}_coeff=0"
             )
+        if loss is not None:
+            problems += actor_problems(f"{root}_loss", loss)
         reduction = getattr(loss, "reduction", "mean")
         if reduction not in ("mean", "sum"):
             problems.append(

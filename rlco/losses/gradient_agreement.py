@@ -1,4 +1,4 @@
-"""Does the anchor pull, and where to: the two gradients on the shared actor."""
+"""Strength and direction of the anchor: both gradients on the shared actor."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ def gradient_agreement(loss: CoTrainingLoss, batch: TensorDictBase) -> dict[str,
     outputs, already weighted by their coefficients, it returns
 
     - ``grad_norm_sim`` and ``grad_norm_real``, their Euclidean norms;
-    - ``grad_norm_ratio``, :math:`|g_{real}| / |g_{sim}|`: what ``real_coeff`` is worth,
-      which depends on the scale of the imitation loss and cannot be read off the
-      coefficient;
+    - ``grad_norm_ratio``, :math:`|g_{real}| / |g_{sim}|`: the strength of the anchor,
+      which depends on the scale of the imitation loss and cannot be read off
+      ``real_coeff``;
     - ``grad_cosine``, their cosine: below 0 the terms pull against each other.
 
-    Ratio and cosine are NaN where a norm they divide by is 0. Nothing is changed: no
-    ``.grad``, no buffer, no random number is drawn from the caller's generators.
+    Ratio and cosine are NaN where a norm they divide by is 0. Nothing changes: neither
+    ``.grad`` nor buffers nor the state of the caller's random generators.
 
     Args:
         loss: the co-training loss.
-        batch: what ``loss`` reads.
+        batch: the input of ``loss``.
 
     Example:
         >>> import torch
@@ -46,9 +46,9 @@ def gradient_agreement(loss: CoTrainingLoss, batch: TensorDictBase) -> dict[str,
         >>> loss = CoTrainingLoss(
         ...     ImitationLoss(actor), ImitationLoss(actor),
         ...     sim_coeff=0.5, real_coeff=0.5)
-        >>> told = gradient_agreement(
+        >>> found = gradient_agreement(
         ...     loss, TensorDict({"sim": demos(5.0), "real": demos(-5.0)}))
-        >>> round(told["grad_cosine"], 3)
+        >>> round(found["grad_cosine"], 3)
         -1.0
     """
     parameters = loss.shared_parameters()

@@ -1,13 +1,14 @@
-"""Scenes, experts, control and stepping of robosuite models, without torch."""
+"""Scenes, scripted experts, control and stepping of robosuite models, without torch."""
 
+import importlib
 import os
 
 from rlco.errors import RenderingError
 
 try:
-    import mujoco as _mujoco  # noqa: F401 # it loads OpenGL, as MUJOCO_GL names it
+    importlib.import_module("mujoco")  # loads OpenGL, as MUJOCO_GL selects it
 except (AttributeError, ImportError, OSError, RuntimeError) as error:
-    # Without MUJOCO_GL, OpenGL is loaded when a frame is asked for.
+    # Without MUJOCO_GL, OpenGL is loaded with the first frame.
     if "MUJOCO_GL" not in os.environ:
         raise
     raise RenderingError(os.environ["MUJOCO_GL"], str(error)) from error

@@ -13,7 +13,7 @@ class Actor(Protocol):
     """A policy that acts in chunks, explores, and can be compared with demonstrations.
 
     Axes: ``B`` stands for any batch shape, ``H`` for the steps of a chunk, ``A`` for
-    the action numbers.
+    the action dimensions.
 
     Attributes:
         kind: the name under which :func:`rlco.policies.make_policy` builds it.

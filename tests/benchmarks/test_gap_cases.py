@@ -17,10 +17,10 @@ from gap_plant import Hidden, make_plant
 from gap_recording import goals, record
 from gap_sizes import IN_LIBRARY, draw, usual
 
-from rlco.gap.arm_rollouts import ArmRollouts
-from rlco.gap.log import Log, Recording
+from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.compare.problem import Hypothesis
+from rlco.gap.logs.log import Log, Recording
 from rlco.gap.model import load_model
-from rlco.gap.problem import Hypothesis
 from rlco.physics.effects import AppliedEffect
 
 ARM3, SERVO = make_arm("arm3"), make_arm("servo")

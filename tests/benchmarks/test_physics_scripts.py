@@ -7,8 +7,8 @@ import pytest
 import same_physics
 import stepping
 
-from rlco.physics.domain import SIM, STAND_IN
-from rlco.physics.task import TASK_NAMES
+from rlco.physics.spec.domain import SIM, STAND_IN
+from rlco.physics.spec.names import TASK_NAMES
 
 
 def test_all_of_rlcos_tasks_are_measured() -> None:

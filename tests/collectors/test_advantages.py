@@ -12,7 +12,7 @@ from rlco import keys
 from rlco.collectors import RolloutCollector, check_signal, group_advantages
 from rlco.envs import make_env
 from rlco.errors import ConfigError, NoSignalError, RlcoError
-from rlco.physics.task import make_task
+from rlco.physics.tasks.make_task import make_task
 from rlco.policies import GaussianPolicy, task_sizes
 
 

@@ -8,11 +8,14 @@ import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torch import nn
+from torchrl.envs import TransformedEnv
+from torchrl.envs.transforms import StepCounter, Transform
 from torchrl.objectives import ClipPPOLoss
 
 from rlco import keys
 from rlco.collectors import RolloutCollector
 from rlco.envs import TabletopEnv, make_env
+from rlco.errors import ConfigError, NonFiniteError
 from rlco.losses import log_probs
 from rlco.policies import GaussianPolicy, ValueNetwork
 
@@ -175,3 +178,155 @@ def test_the_first_ratio_after_a_rollout_is_one() -> None:
     for part in flat.split(4):
         assert loss(part)["max_ratio"].item() == pytest.approx(1.0, abs=1e-5)
     collector.close()
+
+
+# -- What is not finite --------------------------------------------------------------
+
+
+class Broken(TabletopEnv):
+    """An environment whose reward or observation is not finite at some decision."""
+
+    fault = ""
+    at = 0
+
+    def _advance(self, actions: Any, steps: Any) -> Any:
+        reward, diverged = super()._advance(actions, steps)
+        if self.fault == keys.REWARD and self._elapsed[0] == 4 * self.at:
+            reward[1] = float("nan")
+        return reward, diverged
+
+    def _seen(self) -> dict[str, torch.Tensor]:
+        seen = super()._seen()
+        if self.fault in seen and self._elapsed[0] == 4 * self.at:
+            seen[self.fault][1, 3] = float("inf")
+        return seen
+
+
+def broken_collector(fault: str, at: int) -> RolloutCollector:
+    collector, env, _ = make_collector()
+    env.__class__ = Broken
+    env.fault, env.at = fault, at
+    return collector
+
+
+@pytest.mark.parametrize(
+    ("fault", "at", "words"),
+    [
+        ("reward", 1, "'reward' is NaN or infinite in 1 of 2 .* after decision 1 of"),
+        ("reward", 2, "'reward' is NaN or infinite in 1 of 2 .* after decision 2 of"),
+        ("state", 0, "'state'.* is NaN or infinite in 1 of 2 .* as it starts of"),
+        # The policy makes NaN of it, and would be blamed a decision later.
+        ("state", 1, "'state'.* is NaN or infinite in 1 of 2 .* after decision 0 of"),
+        ("environment_state", 3, "'environment_state'.* after decision 2 of"),
+    ],
+)
+def test_what_an_environment_gives_is_checked_as_it_is_played(
+    fault: str, at: int, words: str
+) -> None:
+    collector = broken_collector(fault, at)
+    with pytest.raises(NonFiniteError, match=f"{words} rollout 7") as caught:
+        collector.collect(7)
+    assert "first in environment 1," in str(caught.value)
+    assert "the environment or a transform of it gives it" in str(caught.value)
+    collector.close()
+
+
+class Pay(Transform):
+    """Makes the first environment's reward the same in every decision."""
+
+    def __init__(self, reward: float) -> None:
+        super().__init__()
+        self.reward = reward
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: Any) -> Any:
+        del tensordict
+        next_tensordict[keys.REWARD][0] = self.reward
+        return next_tensordict
+
+
+def test_a_transform_around_the_environment_is_checked_too() -> None:
+    env = make_env("push_cube", num_envs=2, chunk=4, horizon=12)
+    policy, critic = GaussianPolicy(7, chunk=4, **SIZES), ValueNetwork(7, **SIZES)
+    paid = TransformedEnv(env, Pay(float("inf")))
+    collector = RolloutCollector(paid, policy, critic)
+    with pytest.raises(
+        NonFiniteError, match="first in environment 0, after decision 0"
+    ):
+        collector.collect(0)
+    collector.close()
+
+
+def test_what_nobody_reads_may_be_anything() -> None:
+    _, env, _ = make_collector()
+    env.__class__ = Broken
+    env.fault, env.at = "environment_state", 1
+    sizes = SIZES | {"environment_state_size": 0}
+    policy, critic = GaussianPolicy(7, chunk=4, **sizes), ValueNetwork(7, **sizes)
+    collector = RolloutCollector(env, policy, critic)
+    assert collector.collect(0)[keys.ADVANTAGE].isfinite().all()
+    collector.close()
+
+
+class Unsure(GaussianPolicy):
+    """A policy that loses the log-probability of its second environment."""
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        out = super().forward(tensordict)
+        out[keys.LOG_PROB][1] = float("nan")
+        return out
+
+
+class Lost(ValueIsFirstNumber):
+    """A critic that has no value for the last state of the first environment."""
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        out = super().forward(tensordict)
+        value = out[keys.STATE_VALUE].clone()
+        value.view(-1, 1)[-4:] *= torch.nan
+        return out.set(keys.STATE_VALUE, value)
+
+
+@pytest.mark.parametrize(
+    ("policy", "critic", "words"),
+    [
+        (Unsure, ValueIsFirstNumber, "'log_probs'.* in 3 of 6 .* lower lr"),
+        # Its advantages are all NaN by then.
+        (GaussianPolicy, Lost, "'state_value'.* lower critic_lr"),
+    ],
+)
+def test_what_policy_and_critic_make_is_checked_too(
+    policy: type[GaussianPolicy], critic: type[ValueIsFirstNumber], words: str
+) -> None:
+    env = make_env("push_cube", num_envs=2, chunk=4, horizon=12)
+    collector = RolloutCollector(env, policy(7, chunk=4, **SIZES), critic())
+    with pytest.raises(NonFiniteError, match=words):
+        collector.collect(0)
+    collector.close()
+
+
+def test_returns_that_overflow_are_not_the_critics_fault() -> None:
+    env = make_env("push_cube", num_envs=2, chunk=4, horizon=12)
+    paid = TransformedEnv(env, Pay(3e38))  # of which float32 holds no sum
+    policy = GaussianPolicy(7, chunk=4, **SIZES)
+    options: dict[str, Any] = {"advantage": "mc", "group_size": 2}
+    collector = RolloutCollector(paid, policy, **options)
+    with pytest.raises(NonFiniteError, match="scale the reward down"):
+        collector.collect(0)
+    collector.close()
+
+
+def test_an_environment_of_another_kind_is_refused() -> None:
+    from torchrl.testing.mocking_classes import ContinuousActionVecMockEnv
+
+    env = ContinuousActionVecMockEnv()
+    with pytest.raises(ConfigError, match=r"MockEnv has no 'start_at'.*GAE"):
+        RolloutCollector(env, GaussianPolicy(7, chunk=1))
+
+
+def test_transforms_of_ones_own_on_such_an_environment_are_taken() -> None:
+    env = make_env("push_cube", num_envs=2, chunk=4, horizon=8)
+    counted = TransformedEnv(env, StepCounter())
+    sizes = {"environment_state_size": 12, "num_instructions": 3, "hidden": (8,)}
+    policy = GaussianPolicy(7, chunk=4, **sizes)
+    rollout = RolloutCollector(counted, policy, ValueNetwork(7, **sizes)).collect(0)
+    assert rollout["step_count"].squeeze(-1).tolist() == [[0, 1], [0, 1]]

@@ -1,4 +1,4 @@
-"""Pictures of demonstrations are changed as they are drawn, those of rollouts never."""
+"""Images of demonstrations are changed as they are drawn, those of rollouts never."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ def seeded() -> torch.Generator:
 
 
 def test_without_strength_nothing_changes() -> None:
-    pictures = noisy(4)
-    assert torch.equal(NONE(pictures), pictures)
+    images = noisy(4)
+    assert torch.equal(NONE(images), images)
 
 
 def test_a_shift_moves_all_of_a_picture_and_repeats_its_edge() -> None:
-    pictures = noisy(200)
-    moved = Augmentation(shift=0.03, brightness=0.0, contrast=0.0)(pictures, seeded())
+    images = noisy(200)
+    moved = Augmentation(shift=0.03, brightness=0.0, contrast=0.0)(images, seeded())
     found = set()
-    for before, after in zip(pictures, moved, strict=True):
-        # 3 % of 64 are 2 pixels: the inner part is somewhere in the old picture.
+    for before, after in zip(images, moved, strict=True):
+        # 3 % of 64 are 2 pixels: the inner part is somewhere in the old image.
         inner = after[:, 2:-2, 2:-2]
         places = [
             (y, x)
@@ -54,31 +54,31 @@ def test_a_shift_moves_all_of_a_picture_and_repeats_its_edge() -> None:
 
 
 def test_light_is_scaled_and_hues_stay() -> None:
-    pictures = torch.tensor([100, 50, 20], dtype=torch.uint8)[:, None, None]
-    pictures = pictures.expand(64, 3, 64, 64)
-    bright = Augmentation(shift=0.0, brightness=0.5, contrast=0.0)(pictures, seeded())
+    images = torch.tensor([100, 50, 20], dtype=torch.uint8)[:, None, None]
+    images = images.expand(64, 3, 64, 64)
+    bright = Augmentation(shift=0.0, brightness=0.5, contrast=0.0)(images, seeded())
     factors = bright[:, :, 0, 0] / torch.tensor([100.0, 50.0, 20.0])
     assert float(factors.min()) >= 0.48
     assert float(factors.max()) <= 1.52
     assert float(factors[:, 0].std()) > 0.2
     # All channels by one factor, to the rounding of a byte.
     assert float((factors - factors[:, :1]).abs().max()) < 0.03
-    flat = Augmentation(shift=0.0, brightness=0.0, contrast=0.5)(pictures, seeded())
+    flat = Augmentation(shift=0.0, brightness=0.0, contrast=0.5)(images, seeded())
     grey = flat.float().mean((1, 2, 3))
     torch.testing.assert_close(grey, torch.full((64,), 170 / 3), atol=0.6, rtol=0)
     assert float(flat.float().std(0)[0].mean()) > 5
 
 
 def test_the_same_generator_changes_alike_and_the_given_pictures_stay() -> None:
-    pictures = noisy(8)
-    kept = pictures.clone()
+    images = noisy(8)
+    kept = images.clone()
     first, second = (
-        Augmentation()(pictures, seeded()),
-        Augmentation()(pictures, seeded()),
+        Augmentation()(images, seeded()),
+        Augmentation()(images, seeded()),
     )
     assert torch.equal(first, second)
-    assert torch.equal(pictures, kept)
-    assert not torch.equal(first[0], pictures[0])
+    assert torch.equal(images, kept)
+    assert not torch.equal(first[0], images[0])
 
 
 @pytest.fixture(scope="module")
@@ -88,8 +88,8 @@ def seen(tmp_path_factory: pytest.TempPathFactory) -> Path:
     names = {"state_names": ["x"], "action_names": ["a"]}
     size = (64, 64)
     with DemoWriter(root, fps=20, camera="front", image_size=size, **names) as writer:
-        for picture in noisy(3).numpy():
-            writer.add_frame(state=[0.0], action=[0.0], task="push", image=picture)
+        for image in noisy(3).numpy():
+            writer.add_frame(state=[0.0], action=[0.0], task="push", image=image)
         writer.save_episode()
     return root
 
@@ -112,7 +112,7 @@ def test_drawn_demonstrations_are_augmented_and_rollouts_are_not(seen: Path) -> 
             not torch.equal(one, other)
             for one, other in zip(batch["real"][IMAGE], originals, strict=True)
         )
-    # A picture that is drawn twice is changed twice.
+    # An image that is drawn twice is changed twice.
     drawn = torch.cat([b["real"][IMAGE] for b in (first, second)])
     assert len(drawn.unique(dim=0)) == len(drawn) == 8  # of three frames
     assert torch.equal(real.frames()[IMAGE], noisy(3))
@@ -135,12 +135,12 @@ def test_wide_pictures_are_cut_and_made_smaller(tmp_path: Path) -> None:
     ) as writer:
         writer.add_frame(state=[0.0], action=[0.0], task="push", image=wide)
         writer.save_episode()
-    (picture,) = load_demos(tmp_path / "wide", image_size=(64, 64)).frames()[IMAGE]
-    assert picture.shape == (3, 64, 64)
-    assert picture.dtype == torch.uint8
-    assert not picture[0].any()
-    assert (picture[2, :31] == 200).all()
-    assert (picture[2, 33:] == 0).all()
+    (image,) = load_demos(tmp_path / "wide", image_size=(64, 64)).frames()[IMAGE]
+    assert image.shape == (3, 64, 64)
+    assert image.dtype == torch.uint8
+    assert not image[0].any()
+    assert (image[2, :31] == 200).all()
+    assert (image[2, 33:] == 0).all()
     whole = load_demos(tmp_path / "wide").frames()[IMAGE]
     assert torch.equal(whole[0], torch.from_numpy(wide))
     with pytest.raises(DataError, match=r"too small for image_size=\(224, 224\)"):

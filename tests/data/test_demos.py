@@ -160,7 +160,7 @@ def test_ids_do_not_depend_on_the_episodes_selected(demos: Path) -> None:
         ({"state_dim": 2}, "'observation.state' .* has 1 numbers, but 2"),
         ({"environment_dim": 2}, "environment_state' .* has 3 numbers, but 2"),
         ({"image_key": "front"}, "no feature 'front'"),
-        ({"image_key": "action"}, "'action' .* is no camera"),
+        ({"image_key": "action"}, "'action' .* is not a camera"),
         ({"rename": {"action": "actions"}}, r"no feature 'action'.*mean 'actions'"),
     ],
 )

@@ -1,4 +1,4 @@
-"""Recorded pictures are those that the environment shows in the same states."""
+"""Recorded images are those that the environment shows in the same states."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from rlco.data import film_demonstrations
 from rlco.envs import make_env
 from rlco.errors import UnknownNameError
 from rlco.keys import ACTION, IMAGE, STATE
-from rlco.physics.demonstrate import demonstrate
-from rlco.physics.domain import make_domain
-from rlco.physics.task import make_task
+from rlco.physics.spec.domain import make_domain
+from rlco.physics.tasks.demonstrate import demonstrate
+from rlco.physics.tasks.make_task import make_task
 
 TASK, SIM = make_task("push_cube"), make_domain("sim")
 SIZE = (64, 64)
@@ -30,10 +30,10 @@ def test_pictures_are_the_environments_at_each_control_step() -> None:
     starts = make_env(TASK, num_envs=20, seed=12).reset()[STATE]
     env = make_env(TASK, image_size=SIZE, seed=12)
     episodes = []
-    for (one, pictures), other in zip(filmed, plain, strict=True):
+    for (one, images), other in zip(filmed, plain, strict=True):
         np.testing.assert_array_equal(one.action, other.action)
         np.testing.assert_array_equal(one.state, other.state)
-        assert pictures.shape == (len(one.action), 3, *SIZE)
+        assert images.shape == (len(one.action), 3, *SIZE)
         # In sim the robot's state is told without noise: it says which episode it is.
         first = torch.from_numpy(one.state[0]).float()
         ((episode,),) = (starts == first).all(-1).nonzero().tolist()
@@ -41,10 +41,10 @@ def test_pictures_are_the_environments_at_each_control_step() -> None:
         env.start_at(episode)
         td = env.reset()
         for step in range(6):
-            np.testing.assert_array_equal(pictures[step], td[IMAGE][0].numpy())
+            np.testing.assert_array_equal(images[step], td[IMAGE][0].numpy())
             action = torch.from_numpy(one.action[step]).float().view(1, 1, 7)
             td = env.step(TensorDict({ACTION: action}, [1]))["next"]
-        assert not np.array_equal(pictures[0], pictures[-1])
+        assert not np.array_equal(images[0], images[-1])
     assert episodes != [0, 1, 2, 3]
     env.close()
 

@@ -14,7 +14,7 @@ def run_python(page: str, heading: str = "") -> dict[str, Any]:
 
     Args:
         page: Its name, ``native.md``.
-        heading: ``## Copies that differ``; the whole page where empty.
+        heading: ``## Worlds that differ``; the whole page where empty.
     """
     text = (DOCS / page).read_text()
     if heading:

@@ -11,7 +11,7 @@ from reach import TASK
 from rlco import keys
 from rlco.envs import make_env
 from rlco.errors import UnknownNameError
-from rlco.physics.domain import SIM, STAND_IN, Domain
+from rlco.physics.spec.domain import SIM, STAND_IN, Domain
 
 
 @pytest.mark.parametrize("domain", [SIM, STAND_IN], ids=lambda d: d.name)
@@ -27,8 +27,8 @@ def test_it_is_an_environment_that_shows_the_mark() -> None:
     assert seen.shape == (2, 2, 2)  # environments, steps, x and y
     # Seen from the robot's base, but as far apart, to within the camera's noise.
     apart = seen[0] - seen[1]
-    assert np.abs(apart - (marks[0] - marks[1])).max() < 10 * SIM.object_noise
-    assert np.abs(marks[0] - marks[1]).max() > 20 * SIM.object_noise
+    assert np.abs(apart - (marks[0] - marks[1])).max() < 10 * SIM.sensors.object_noise
+    assert np.abs(marks[0] - marks[1]).max() > 20 * SIM.sensors.object_noise
     assert rollout[keys.INSTRUCTION][0][0] == "reach for the mark"
 
 

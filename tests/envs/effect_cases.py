@@ -8,14 +8,13 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.physics.domain import SIM, Domain
-from rlco.physics.effect_sim import EffectSim
 from rlco.physics.effects import AppliedEffect
-from rlco.physics.mended_model import given_effects
-from rlco.physics.native import NativeStepper
-from rlco.physics.push_cube import TASK
-from rlco.physics.tabletop import Tabletop
-from rlco.physics.task import InitialState
+from rlco.physics.native.stepper import NativeStepper
+from rlco.physics.robosuite.effect_sim import EffectSim
+from rlco.physics.robosuite.tabletop import Tabletop
+from rlco.physics.spec.domain import SIM, Domain, with_effects
+from rlco.physics.spec.task import InitialState
+from rlco.physics.tasks.push_cube import TASK
 
 Array = NDArray[np.float64]
 
@@ -72,7 +71,7 @@ class Pair:
     """The same effects in both backends, the native one led by robosuite's state."""
 
     def __init__(self, effects: Any, domain: Domain) -> None:
-        self.env = Tabletop(TASK, domain, effects=given_effects(effects))
+        self.env = Tabletop(TASK, with_effects(domain, effects))
         self.native = NativeStepper(
             TASK, domain, num_envs=1, threads=1, exact=True, effects=effects
         )
@@ -84,7 +83,7 @@ class Pair:
     def anchor(self) -> None:
         """Copy state, forces and friction, and what is on its way to the actuators."""
         model, data = self.env.sim.model._model, self.env.sim.data._data
-        copies = self.native.copies
+        copies = self.native.worlds
         own, memory, ours = copies.model, copies.memory, copies.data[0]
         kind = mujoco.mjtState.mjSTATE_INTEGRATION
         state = np.empty(mujoco.mj_stateSize(model, kind))

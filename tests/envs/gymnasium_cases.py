@@ -10,7 +10,7 @@ import pytest
 
 from rlco.errors import RenderingError
 
-ID = "rlco.physics.registration:rlco/PushCube-v0"
+ID = "rlco.physics.tasks.registration:rlco/PushCube-v0"
 
 
 def make(**options: Any) -> Any:

@@ -184,10 +184,14 @@ def both_ways(**options: Any) -> tuple[TensorDictBase, TensorDictBase]:
 @pytest.mark.parametrize("reward", ["shaped", "sparse"])
 @pytest.mark.parametrize("chunk", [1, 4])
 def test_by_way_of_gymnasium_the_same_comes_out(chunk: int, reward: str) -> None:
-    from rlco.physics.domain import Domain
+    from rlco.physics.effects import AppliedEffect
+    from rlco.physics.spec.domain import Domain
+    from rlco.physics.spec.sensors import Sensors
 
     # Noise is drawn for each decision: chunks of more than one step see another.
-    domain = "stand_in" if chunk == 1 else Domain("quiet", friction_scale=0.7)
+    slip = AppliedEffect("scene_friction", None, {"factor": 0.7})
+    quiet = Domain("quiet", (slip,), Sensors(object_noise=0.0))
+    domain = "stand_in" if chunk == 1 else quiet
     direct, around = both_ways(chunk=chunk, domain=domain, reward=reward)
     for key in (keys.STATE, keys.ENVIRONMENT_STATE):
         assert torch.equal(around[key], direct[key])

@@ -20,8 +20,9 @@ from effect_cases import (
 )
 
 from rlco.envs import make_env
-from rlco.physics.domain import SIM, Domain
-from rlco.physics.native import NativeStepper
+from rlco.physics.native.stepper import NativeStepper
+from rlco.physics.spec.domain import SIM, Domain
+from rlco.physics.spec.sensors import Sensors
 
 
 @pytest.mark.parametrize(
@@ -54,6 +55,9 @@ def test_inertia_and_lag_delay_the_start_of_a_motion(name: str) -> None:
     assert 0.0 < risen([EFFECTS[name]]) < risen(None) - 1e-4
 
 
+QUIET = Domain("quiet", sensors=Sensors(object_noise=0.0))
+
+
 def test_nothing_moves_before_a_delayed_command_arrives() -> None:
     # 0.13 s: after two control steps of 0.05 s, and 15 physics steps of the third.
     late = [EFFECTS["command_delay"]]
@@ -63,12 +67,32 @@ def test_nothing_moves_before_a_delayed_command_arrives() -> None:
     assert height(play(late, rise(3))) < height(play(None, rise(1)))
 
 
-def test_a_delay_of_whole_control_steps_is_that_of_a_domain() -> None:
+def test_a_delay_of_whole_control_steps_is_that_of_a_copy() -> None:
     late = play([effect("command_delay", delay=0.05)], rise(4))
-    domain = NativeStepper(TASK, Domain("late", command_delay=1), num_envs=1, threads=1)
-    domain.reset([start_of(3)])
-    domain.step(rise(4)[None])
-    np.testing.assert_array_equal(late.data[0].qpos, domain.data[0].qpos)
+    copies = NativeStepper(TASK, SIM, num_envs=1, threads=1)
+    copies.randomise([0], command_delay=1)
+    copies.reset([start_of(3)])
+    copies.step(rise(4)[None])
+    np.testing.assert_array_equal(late.data[0].qpos, copies.data[0].qpos)
+
+
+def test_a_copys_own_delay_takes_the_place_of_the_domains() -> None:
+    # 70 ms are a control step and 20 ms more, which stay.
+    longer, shorter = (
+        NativeStepper(
+            TASK,
+            SIM,
+            num_envs=1,
+            threads=1,
+            effects=[effect("command_delay", delay=delay)],
+        )
+        for delay in (0.12, 0.07)
+    )
+    shorter.randomise([0], command_delay=2)
+    for stepper in (longer, shorter):
+        stepper.reset([start_of(3)])
+        stepper.step(rise(5)[None])
+    np.testing.assert_array_equal(longer.data[0].qpos, shorter.data[0].qpos)
 
 
 def test_commands_between_two_readings_are_never_executed() -> None:
@@ -109,13 +133,13 @@ def test_encoders_tell_another_pose_than_the_arm_has() -> None:
     np.testing.assert_allclose(told.joint_position[0], expected, atol=1e-12)
     # The tool is told where the arm would have it at these angles.
     model, data = native.model, mujoco.MjData(native.model)
-    data.qpos[:] = native.copies.seen[0].qpos
+    data.qpos[:] = native.worlds.observed[0].qpos
     mujoco.mj_kinematics(model, data)
     site = native.tracked.site
     np.testing.assert_allclose(told.tool_position[0], data.site_xpos[site], atol=1e-12)
     assert np.abs(told.tool_position - true.tool_position).max() > 0.01
     # What a policy reads is what is told.
-    env = make_env("push_cube", effects=[EFFECTS["joint_offset"]], domain=Domain("d"))
+    env = make_env("push_cube", effects=[EFFECTS["joint_offset"]], domain=QUIET)
     seen = env.reset()["observation", "state"][0, :3].numpy()
     base = np.array([-0.56, 0.0, 0.912])
     told_now = env.stepper.reported_state().tool_position[0]

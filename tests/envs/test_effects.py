@@ -25,16 +25,16 @@ from effect_cases import (
 
 from rlco.envs import make_env
 from rlco.errors import RlcoError, UnknownNameError
-from rlco.physics.domain import SIM, STAND_IN, Domain
-from rlco.physics.effect_sim import CommandPath
 from rlco.physics.effects import AppliedEffect
+from rlco.physics.effects.corrected_model import given_effects
 from rlco.physics.effects.effects_file import write_effects
-from rlco.physics.mended_model import given_effects
-from rlco.physics.native import NativeStepper
-from rlco.physics.robosuite_batch import RobosuiteBatch
-from rlco.physics.robosuite_envs import RobosuiteEnvs
-from rlco.physics.robosuite_tasks import make_plain
-from rlco.physics.tabletop import Tabletop
+from rlco.physics.native.robosuite_batch import RobosuiteBatch
+from rlco.physics.native.stepper import NativeStepper
+from rlco.physics.robosuite.effect_sim import CommandPath
+from rlco.physics.robosuite.envs import RobosuiteEnvs
+from rlco.physics.robosuite.tabletop import Tabletop
+from rlco.physics.robosuite.tasks import make_plain
+from rlco.physics.spec.domain import SIM, STAND_IN, Domain, with_effects
 
 
 @pytest.mark.parametrize("name", EFFECTS)
@@ -155,6 +155,12 @@ def test_robosuites_own_tasks_take_effects_in_both_backends() -> None:
     assert np.abs(plain.data[0].qpos - batch.data[0].qpos).max() > 1e-3
 
 
+def test_effects_are_refused_where_robosuite_steps_in_one_piece() -> None:
+    effects = given_effects([EFFECTS["drive_loss"]])
+    with pytest.raises(RlcoError, match="effects need lite_physics=True"):
+        make_plain("Lift", lite_physics=False, effects=effects)
+
+
 @pytest.mark.parametrize(
     ("effects", "message"),
     [
@@ -189,4 +195,4 @@ def test_robosuites_observations_tell_the_truth_so_encoders_may_not_err() -> Non
 def test_a_name_that_could_be_several_is_refused() -> None:
     given = given_effects([effect("coulomb_friction", "joint", frictionloss=1.0)])
     with pytest.raises(UnknownNameError, match="unknown target"):
-        Tabletop(TASK, SIM, effects=given)
+        Tabletop(TASK, with_effects(SIM, given))

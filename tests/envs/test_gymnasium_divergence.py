@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from gymnasium_cases import ID, actions, make
 
-from rlco.physics.gymnasium_env import TaskEnv
+from rlco.physics.tasks.gymnasium_env import TaskEnv
 
 
 @pytest.mark.parametrize("backend", ["native", "robosuite"])

@@ -18,9 +18,10 @@ from torch import nn
 import rlco.envs
 from rlco import keys
 from rlco.errors import RlcoError
-from rlco.physics.gymnasium_env import TaskEnv
-from rlco.physics.registration import gymnasium_id, register_tasks
-from rlco.physics.task import TASK_NAMES, make_task
+from rlco.physics.spec.names import TASK_NAMES
+from rlco.physics.tasks.gymnasium_env import TaskEnv
+from rlco.physics.tasks.make_task import make_task
+from rlco.physics.tasks.registration import gymnasium_id, register_tasks
 
 
 @pytest.mark.parametrize("task", TASK_NAMES)

@@ -16,12 +16,16 @@ from torchrl.envs.utils import check_env_specs, step_mdp
 
 from rlco.envs import TabletopEnv, make_env
 from rlco.errors import RenderingError
-from rlco.physics.domain import Domain
-from rlco.physics.task import SceneState, make_task
+from rlco.physics.spec.domain import Domain
+from rlco.physics.spec.sensors import Sensors
+from rlco.physics.spec.task import SceneState
+from rlco.physics.tasks.make_task import make_task
 
 Backend = Literal["native", "robosuite"]
 BACKENDS = pytest.mark.parametrize("backend", ["native", "robosuite"])
-QUIET = Domain("quiet")  # sensors and camera without noise
+QUIET = Domain(
+    "quiet", sensors=Sensors(object_noise=0.0)
+)  # sensors and camera without noise
 
 
 def play(env: TabletopEnv, actions: torch.Tensor) -> TensorDictBase:
@@ -261,7 +265,7 @@ def test_images_show_the_scene(backend: Backend) -> None:
     for colour in range(3):
         rest = pixels[:, [c for c in range(3) if c != colour]].amax(1)
         assert (pixels[:, colour] > 1.8 * rest).any()
-    # The robot rises: the picture changes where it was.
+    # The robot rises: the image changes where it was.
     action = torch.zeros(2, 1, 7)
     action[..., 2] = 1.0
     second = play(env, action.expand(3, 2, 1, 7))["observation", "image"][:, -1]
@@ -275,7 +279,7 @@ def test_without_a_gl_library_the_message_names_the_packages(library: str) -> No
     script = (
         "from rlco.errors import RenderingError\n"
         "try:\n"
-        "    from rlco.physics.camera import Camera, mujoco\n"
+        "    from rlco.physics.rendering.camera import Camera, mujoco\n"
         "    Camera(mujoco.MjModel.from_xml_string('<mujoco/>'), (32, 32))\n"
         "except RenderingError as error:\n"
         "    print(error)\n"

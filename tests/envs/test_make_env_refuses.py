@@ -9,7 +9,7 @@ import pytest
 
 from rlco.envs import make_env
 from rlco.errors import RlcoError
-from rlco.physics.task import make_task
+from rlco.physics.tasks.make_task import make_task
 
 PLAIN = replace(make_task("push_cube"), variations=())
 

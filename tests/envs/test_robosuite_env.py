@@ -14,8 +14,8 @@ from torchrl.envs.utils import check_env_specs, step_mdp
 
 from rlco.envs import make_env
 from rlco.errors import RlcoError, SimulationError
-from rlco.physics.global_random import seeded
-from rlco.physics.robosuite_tasks import make_plain
+from rlco.physics.robosuite.global_random import seeded
+from rlco.physics.robosuite.tasks import make_plain
 
 Backend = Literal["native", "robosuite"]
 BACKENDS = pytest.mark.parametrize("backend", ["native", "robosuite"])

@@ -23,7 +23,7 @@ from rlco.data import SimRealReplayBuffer
 from rlco.envs import from_gymnasium, from_mujoco, from_vla, make_env
 from rlco.errors import RenderingError
 from rlco.losses import CoTrainingLoss, ImitationLoss, log_probs
-from rlco.physics.camera import check_rendering
+from rlco.physics.rendering.camera import check_rendering
 from rlco.policies import GaussianPolicy, ValueNetwork
 
 CHUNK, DECISIONS = 2, 4

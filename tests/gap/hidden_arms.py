@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.gap.log import Log, Recording
+from rlco.gap.logs.log import Log, Recording
 
 FPS = 50
 # Two links in a vertical plane, driven by position servos.

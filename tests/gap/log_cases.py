@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rlco.gap.log import Array
+from rlco.gap.logs.log import Array
 from rlco.gap.model import LoadedModel, load_model
 
 SHARED = Path(__file__).parents[2].parent / "shared" / "data"
@@ -138,3 +138,24 @@ def _write_lists(meta: Path, rows: list[dict[str, int]], version: str) -> None:
     file = meta / "episodes" / "chunk-000" / "file-000.parquet"
     pq.write_table(pa.Table.from_pylist(places), file)
     pq.write_table(pa.Table.from_pylist([task]), meta / "tasks.parquet")
+
+
+def urdf(grip: str = "fixed") -> str:
+    """Two links and a tool that is gripped by a joint of a kind."""
+    links = "".join(
+        f"<link name='{name}'><inertial><origin xyz='.1 0 .02'/><mass value='{mass}'/>"
+        "<inertia ixx='.01' iyy='.01' izz='.01' ixy='0' ixz='0' iyz='0'/></inertial>"
+        "<visual><geometry><sphere radius='.05'/></geometry></visual></link>"
+        for name, mass in (("upper", 1.0), ("lower", 0.5), ("tool", 0.3))
+    )
+    joints = "".join(
+        f"<joint name='{name}' type='{kind}'><parent link='{parent}'/><child "
+        f"link='{child}'/><origin xyz='{place} 0 0'/><axis xyz='0 1 0'/><limit "
+        "lower='-2' upper='2' effort='20' velocity='5'/></joint>"
+        for name, kind, parent, child, place in (
+            ("shoulder", "revolute", "base", "upper", 0.0),
+            ("elbow", "revolute", "upper", "lower", 0.2),
+            ("grip", grip, "lower", "tool", 0.2),
+        )
+    )
+    return f"<robot name='arm'><link name='base'/>{links}{joints}</robot>"

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from rlco.gap.log import Array, Log, Recording
-from rlco.gap.problem import Candidate, Hypothesis, Layout, Problem
+from rlco.gap.compare.problem import Candidate, Hypothesis, Layout, Problem
+from rlco.gap.logs.log import Array, Log, Recording
 from rlco.physics.effects import EFFECTS, AppliedEffect
 
 ARM = """
@@ -51,7 +52,7 @@ class Rolled(Problem):
     def __init__(self, xml: str, log: Log, channels: Sequence[str], unit: str) -> None:
         self.spec = mujoco.MjSpec.from_string(xml)
         self.model = self.spec.compile()
-        self.log, self.spread_names = log, ()
+        self.log, self.tolerance_names = log, ()
         self.noise = np.full(len(channels), NOISE)
         self.every = round(PERIOD / self.model.opt.timestep)
         rows, count = [r.rows for r in log.recordings], len(channels)
@@ -110,6 +111,43 @@ class Arm(Rolled):
             "command": log.command,
             "torque": torque,
         }
+
+
+class Interruptible(Arm):
+    """An arm of which a Ctrl-C ends one of its simulations, counted from 1; 0: none.
+
+    What is there to be named: friction and damping of each joint.
+    """
+
+    def __init__(self, log: Log, interrupt_at: int = 0) -> None:
+        super().__init__(log)
+        self.calls, self.interrupt_at = 0, interrupt_at
+        self.known: dict[tuple[object, ...], Mapping[str, Array]] = {}
+
+    def again(self, interrupt_at: int) -> Interruptible:
+        """Return the same, interrupted at a call; what was simulated stays known."""
+        fresh = Interruptible(self.log, interrupt_at)
+        fresh.known = self.known
+        return fresh
+
+    def candidates(self) -> list[Candidate]:
+        names = ("coulomb_friction", "viscous_damping")
+        return [Candidate(n, joint) for n in names for joint in self.layout.channels]
+
+    def residuals(
+        self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None
+    ) -> Array:
+        self.calls += 1
+        if self.calls == self.interrupt_at:
+            raise KeyboardInterrupt
+        return super().residuals(hypotheses, recordings)
+
+    def traces(self, hypothesis: Hypothesis, recording: int) -> Mapping[str, Array]:
+        effects = [(e.name, e.target, *e.values) for e in hypothesis.effects]
+        key = (recording, *effects)
+        if key not in self.known:
+            self.known[key] = super().traces(hypothesis, recording)
+        return self.known[key]
 
 
 class Ball(Rolled):
@@ -185,6 +223,20 @@ def arm_problem(
         name = f"episode {seed}"
         made.append(Recording(name, time, track + noise, command=sent))
     return Arm(Log(tuple(made), names, names))
+
+
+def write_case(folder: Path, *hidden: AppliedEffect) -> tuple[Path, Path]:
+    """Write the arm's model and six recordings of it; return where they lie."""
+    logs, model = folder / "logs", folder / "arm.xml"
+    logs.mkdir(parents=True)
+    model.write_text(ARM)
+    for recording in arm_problem(*hidden, recordings=6, seconds=4.0).log.recordings:
+        columns = [recording.time[:, None], recording.position, recording.command]
+        rows: Array = np.concatenate([np.asarray(c) for c in columns], axis=1)
+        header = "time,shoulder,elbow,cmd_shoulder,cmd_elbow"
+        file = logs / f"{recording.name}.csv"
+        np.savetxt(file, rows, delimiter=",", header=header, comments="")
+    return model, logs
 
 
 def empty_recording() -> Recording:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from small_problems import NOISE, Arm
 
-from rlco.gap.problem import (
+from rlco.gap.compare.problem import (
     Candidate,
-    Finding,
     Gap,
     Hypothesis,
+    NamedEffect,
     Value,
     Verdict,
 )
@@ -31,14 +31,14 @@ def gap_of(problem: Arm, hypothesis: Hypothesis) -> Gap:
 def named(problem: Arm, verdict: str = "named") -> Verdict:
     """Both effects named, the friction with a rival where it is ambiguous."""
     rivals = (Candidate("load_friction", "elbow"),) if verdict == "ambiguous" else ()
-    friction = Finding(
+    friction = NamedEffect(
         "coulomb_friction",
         "elbow",
         {"frictionloss": Value(0.6, 0.57, 0.63, "N m")},
         rivals,
         {"load_friction elbow": 0.01, "backlash elbow": 0.42},
     )
-    damping = Finding(
+    damping = NamedEffect(
         "viscous_damping", "shoulder", {"damping": Value(0.6, 0.52, 0.68, "N m s/rad")}
     )
     hypothesis = Hypothesis((FRICTION, DAMPING))

@@ -12,15 +12,15 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.gap.log import Log
-from rlco.gap.task_log import task_recording
-from rlco.gap.task_plants import Plants
-from rlco.gap.task_rollouts import Rollouts
-from rlco.physics.domain import SIM
-from rlco.physics.native import NativeStepper
-from rlco.physics.observation import noise_size, observe
-from rlco.physics.push_cube import TASK
-from rlco.physics.task import InitialState, SceneState
+from rlco.gap.demos.replay.plants import Plants
+from rlco.gap.demos.replay.rollouts import Rollouts
+from rlco.gap.logs.log import Log
+from rlco.gap.logs.task_log import task_recording
+from rlco.physics.native.stepper import NativeStepper
+from rlco.physics.spec.domain import SIM
+from rlco.physics.spec.observation import noise_size, observe
+from rlco.physics.spec.task import InitialState, SceneState
+from rlco.physics.tasks.push_cube import TASK
 
 Array = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def record(
     """Let the expert play; return the log, and the true states row by row."""
     robot = robot or stepper()
     everyone = np.arange(EPISODES)
-    robot.copies.restore_models(everyone)
+    robot.worlds.restore_models(everyone)
     if fields:
         robot.randomise(everyone, fields)
     rngs = [np.random.default_rng([seed, i]) for i in everyone]

@@ -7,15 +7,14 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from log_cases import ARM, arm, motion, write_csv, write_lerobot
-from test_model import urdf
+from log_cases import ARM, arm, motion, urdf, write_csv, write_lerobot
 
 from rlco.errors import DataError
+from rlco.gap.compare.problem import Hypothesis
+from rlco.gap.compare.torque.torque_log import TorqueLog
 from rlco.gap.logs import read_log
 from rlco.gap.make_problem import make_problem
 from rlco.gap.model import load_model
-from rlco.gap.problem import Hypothesis
-from rlco.gap.torque_log import TorqueLog
 
 TIME, POSITION, COMMAND = motion()
 HOME = np.array([0.0, 0.2, 0.0, -2.0, 0.0, 2.6, 0.8])
@@ -51,7 +50,8 @@ def test_actions_that_are_nobodys(tmp_path: Path) -> None:
         make_problem(loaded, log)
 
 
-def test_a_urdf_is_compared_by_its_torques(tmp_path: Path) -> None:
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_urdf_is_compared_by_its_torques(tmp_path: Path, sign: float) -> None:
     file = tmp_path / "arm.urdf"
     file.write_text(urdf())
     model = mujoco.MjModel.from_xml_path(str(file))
@@ -65,12 +65,15 @@ def test_a_urdf_is_compared_by_its_torques(tmp_path: Path) -> None:
         torque[row] = data.qfrc_inverse
     columns = {"time": TIME}
     for i, name in enumerate(("shoulder", "elbow")):
-        columns |= {f"q_{name}": position[:, i], f"tau_{name}": torque[:, i]}
+        columns |= {f"q_{name}": position[:, i], f"tau_{name}": sign * torque[:, i]}
     loaded = load_model(file)
     problem = make_problem(
         loaded, read_log(write_csv(tmp_path / "a.csv", columns), loaded)
     )
     assert isinstance(problem, TorqueLog)
+    assert any("opposite sign to the model's" in n for n in problem.log.notes) == (
+        sign < 0
+    )
     left = problem.residuals([Hypothesis()])[0]
     assert np.sqrt(np.mean(left**2)) < 0.02 * np.sqrt(np.mean(torque**2))
 

@@ -7,11 +7,11 @@ from pathlib import Path
 import mujoco
 import numpy as np
 import pytest
-from log_cases import ARM, SHARED, arm
+from log_cases import ARM, SHARED, arm, urdf
 
 from rlco.errors import RlcoError, UnknownNameError
-from rlco.gap.log import Array
-from rlco.gap.model import load_model, without_contact
+from rlco.gap.logs.log import Array
+from rlco.gap.model import load_model
 from rlco.physics.effects import EFFECTS
 
 CASES = sorted((SHARED / "gap_cases").glob("pub_*_*"))
@@ -28,7 +28,7 @@ MODELS = {
       axis="0 1 0"/><geom size=".1" pos=".2 0 0"/><body pos=".4 0 0"><joint
       axis="0 1 0"/><inertial pos=".1 0 0" mass="2" fullinertia="1 2 2 .1 .2 .3"/>
       </body></body></worldbody></mujoco>""",
-    "contact beside pictures": """<mujoco><asset><texture name="t" type="2d"
+    "contact beside images": """<mujoco><asset><texture name="t" type="2d"
       builtin="checker" width="8" height="8"/><material name="m" texture="t"/><mesh
       name="wedge" vertex="0 0 0 .1 0 0 0 .1 0 0 0 .1"/><mesh name="shown"
       vertex="0 0 0 .2 0 0 0 .2 0 0 0 .2"/></asset><worldbody><geom name="floor"
@@ -59,27 +59,6 @@ MODELS = {
       pos=".4 0 0"><geom size=".03"/><geom size=".05" contype="0" conaffinity="0"/>
       </body></body></body></worldbody></mujoco>""",
 }
-
-
-def urdf(grip: str = "fixed") -> str:
-    """Two links and a tool that is gripped by a joint of a kind."""
-    links = "".join(
-        f"<link name='{name}'><inertial><origin xyz='.1 0 .02'/><mass value='{mass}'/>"
-        "<inertia ixx='.01' iyy='.01' izz='.01' ixy='0' ixz='0' iyz='0'/></inertial>"
-        "<visual><geometry><sphere radius='.05'/></geometry></visual></link>"
-        for name, mass in (("upper", 1.0), ("lower", 0.5), ("tool", 0.3))
-    )
-    joints = "".join(
-        f"<joint name='{name}' type='{kind}'><parent link='{parent}'/><child "
-        f"link='{child}'/><origin xyz='{place} 0 0'/><axis xyz='0 1 0'/><limit "
-        "lower='-2' upper='2' effort='20' velocity='5'/></joint>"
-        for name, kind, parent, child, place in (
-            ("shoulder", "revolute", "base", "upper", 0.0),
-            ("elbow", "revolute", "upper", "lower", 0.2),
-            ("grip", grip, "lower", "tool", 0.2),
-        )
-    )
-    return f"<robot name='arm'><link name='base'/>{links}{joints}</robot>"
 
 
 def rollout(model: mujoco.MjModel, steps: int = 400) -> Array:
@@ -130,18 +109,6 @@ def test_the_motion_of_robosuites_panda_is_the_same() -> None:
     assert (slim.model.ngeom, slim.model.nmesh) == (8, 8)
 
 
-def test_without_contact_only_contact_is_lacking(tmp_path: Path) -> None:
-    slim = arm(tmp_path)
-    free = without_contact(slim)
-    assert (slim.model.ngeom, free.model.ngeom) == (3, 0)
-    np.testing.assert_allclose(
-        rollout(free.model), rollout(slim.model), rtol=0, atol=1e-10
-    )
-    ball = arm(tmp_path, MODELS["a pair of geoms that else pass"])
-    assert rollout(ball.model)[-1, 2] > 0.05
-    assert rollout(without_contact(ball).model)[-1, 2] < -1.0
-
-
 @pytest.mark.parametrize("grip", ["fixed", "prismatic"])
 def test_the_motion_of_a_urdf_is_the_same(tmp_path: Path, grip: str) -> None:
     file = tmp_path / "arm.urdf"
@@ -155,7 +122,7 @@ def test_the_motion_of_a_urdf_is_the_same(tmp_path: Path, grip: str) -> None:
 
 
 def test_what_cannot_touch_is_gone_and_what_can_is_not(tmp_path: Path) -> None:
-    slim = arm(tmp_path, MODELS["contact beside pictures"])
+    slim = arm(tmp_path, MODELS["contact beside images"])
     names = {slim.model.geom(i).name for i in range(slim.model.ngeom)}
     assert names == {"floor", "hit"}
     assert (slim.model.nmesh, slim.model.nmat, slim.model.ntex) == (1, 0, 0)
@@ -220,12 +187,12 @@ def test_mujocos_own_words_are_kept(tmp_path: Path, xml: str, words: str) -> Non
 
 
 def test_a_model_that_is_not_there() -> None:
-    with pytest.raises(RlcoError, match=r"'nowhere.xml' is no file; give an MJCF file"):
+    with pytest.raises(RlcoError, match=r"is not a file; give an MJCF file"):
         load_model("nowhere.xml")
 
 
 def test_a_task_is_the_model_that_robosuite_steps() -> None:
-    from rlco.physics.tabletop import make_robosuite
+    from rlco.physics.tasks.plain_robosuite import make_robosuite
 
     loaded = load_model("robosuite:push_cube")
     theirs = make_robosuite("push_cube").sim.model._model

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 import torch
-from loss_cases import make_batch, make_networks
+from loss_cases import assert_same_outputs, make_batch, make_networks
 from tensordict import TensorDict, TensorDictBase
-from torchrl.objectives import ClipPPOLoss
+from torchrl.objectives import ClipPPOLoss, LossModule, ReinforceLoss
 
 from rlco.errors import ConfigError, DataError
 from rlco.losses import CoTrainingLoss, ImitationLoss
@@ -145,3 +145,69 @@ def test_all_problems_are_reported_at_once() -> None:
     with pytest.raises(ConfigError) as caught:
         CoTrainingLoss(None, None, sim_coeff=-1.0)
     assert len(caught.value.problems) == 3
+
+
+# -- A loss of one's own ---------------------------------------------------------
+
+
+class Bare(LossModule):
+    """A LossModule that keeps its actor under a name of its own."""
+
+    def __init__(self, actor: Any) -> None:
+        super().__init__()
+        self.policy = actor
+
+
+class Unconverted(LossModule):
+    """One that calls itself functional and keeps the actor as a submodule."""
+
+    def __init__(self, actor: Any) -> None:
+        super().__init__()
+        self.actor_network = actor
+
+
+@pytest.mark.parametrize("side", ["sim_loss", "real_loss"])
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda actor: torch.nn.Linear(1, 1), ["is a Linear", "LossModule is needed"]),
+        (Bare, ["a Bare, has no actor_network", "convert_to_functional"]),
+        (Unconverted, ["a Unconverted", "no actor_network_params"]),
+    ],
+)
+@pytest.mark.parametrize("alone", [True, False])
+def test_what_cannot_share_an_actor_is_named(
+    side: str, make: Any, words: list[str], alone: bool
+) -> None:
+    policy, _ = make_networks()
+    other = "real_loss" if side == "sim_loss" else "sim_loss"
+    given = {side: make(policy), other: None if alone else ImitationLoss(policy)}
+    coefficient = {f"{other.removesuffix('_loss')}_coeff": 0.0} if alone else {}
+    with pytest.raises(ConfigError) as caught:
+        CoTrainingLoss(**given, **coefficient)
+    for word in [side, *words]:
+        assert word in str(caught.value)
+
+
+@pytest.mark.parametrize("value", [-1, float("nan"), float("inf"), torch.tensor(-0.5)])
+@pytest.mark.parametrize("name", ["sim_coeff", "real_coeff"])
+def test_a_coefficient_cannot_become_what_it_cannot_be(name: str, value: Any) -> None:
+    loss, batch = stage_two()
+    before = loss(batch)
+    with pytest.raises(ConfigError, match=f"{name}=.* must be finite and >= 0"):
+        setattr(loss, name, value)
+    assert_same_outputs(loss(batch), before)
+
+
+def test_reinforce_is_taken_and_needs_what_it_would_estimate() -> None:
+    policy, value = make_networks()
+    loss = CoTrainingLoss(ReinforceLoss(policy, value), ImitationLoss(policy))
+    loss.set_keys(
+        action=("vla_action", "sample"), sample_log_prob=("vla_action", "log_probs")
+    )
+    batch = make_batch(policy)
+    out = loss(batch)
+    assert set(out.keys()) == {"loss_actor", "loss_value", "loss_bc_real"}
+    del batch["sim", "advantage"]
+    with pytest.raises(DataError, match="'sim' has no 'advantage'"):
+        loss(batch)

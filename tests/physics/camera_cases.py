@@ -12,13 +12,14 @@ from numpy.typing import NDArray
 
 from rlco.envs import TabletopEnv, make_env, make_robosuite
 from rlco.errors import RenderingError
-from rlco.physics.camera import check_rendering
-from rlco.physics.domain import Domain
-from rlco.physics.tabletop import Tabletop
+from rlco.physics.rendering.camera import check_rendering
+from rlco.physics.robosuite.tabletop import Tabletop
+from rlco.physics.spec.domain import Domain
+from rlco.physics.spec.sensors import Sensors
 
 SIZE = (64, 96)
 YAW, SHIFT = 0.14, (0.025, -0.015)
-TURNED = Domain("turned", camera_yaw=YAW, camera_shift=SHIFT)
+TURNED = Domain("turned", sensors=Sensors(camera_yaw=YAW, camera_shift=SHIFT))
 QUALITIES = pytest.mark.parametrize("quality", ["fast", "robosuite"])
 
 
@@ -51,7 +52,7 @@ def own_frame(env: Any, action: NDArray[np.float64] | None = None) -> Any:
     # robosuite does so once, when it is built; other robosuite environments do too.
     env.sim._render_context_offscreen.gl_ctx.make_current()
     seen = env.start(env.initial) if action is None else env.step(action)[0]
-    # Its pictures are upside down, rows counted from below.
+    # Its images are upside down, rows counted from below.
     return seen["agentview_image"][::-1].transpose(2, 0, 1)
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlco.physics.observation import TOOL_DOWN
-from rlco.physics.task import SceneState
+from rlco.physics.spec.robot import PANDA
+from rlco.physics.spec.task import SceneState
 
 
 def drawer_scene(
@@ -23,7 +23,7 @@ def drawer_scene(
     up = np.array([0.0, 0.0, above])
     return SceneState(
         tool_position=handle + outside * outward + side * beside + up,
-        tool_rotation=TOOL_DOWN.copy(),
+        tool_rotation=PANDA.down,
         gripper_opening=np.array(0.0),
         joint_position=np.zeros(7),
         object_position=handle[None],

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.physics.domain import Domain
-from rlco.physics.native import NativeStepper
-from rlco.physics.task import SceneState, Task
+from rlco.physics.native.stepper import NativeStepper
+from rlco.physics.spec.domain import Domain
+from rlco.physics.spec.task import SceneState, Task
 
 
 def solved(
@@ -17,13 +17,14 @@ def solved(
     *,
     variation: str | None = None,
     noise: float = 0.0,
+    steps: int | None = None,
 ) -> NDArray[np.bool_]:
-    """Play the expert; return whether each episode ends solved."""
+    """Play the expert; return whether each episode is solved after so many steps."""
     stepper = NativeStepper(task, domain, num_envs=episodes, variation=variation)
     rngs = [np.random.default_rng([40, i]) for i in range(episodes)]
     state = stepper.reset([task.sample(rng, variation) for rng in rngs])
     assert not task.success(state).any()
-    for _ in range(task.horizon):
+    for _ in range(steps or task.horizon):
         action = task.expert(state)
         for row, rng in zip(action, rngs, strict=True):
             row[:3] += noise * rng.standard_normal(3)

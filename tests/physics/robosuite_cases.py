@@ -10,10 +10,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
-from rlco.physics.quiet_robosuite import load_composite_controller_config
-from rlco.physics.robosuite_batch import RobosuiteBatch
-from rlco.physics.robosuite_stepper import keep_divergence
-from rlco.physics.robosuite_tasks import make_plain
+from rlco.physics.native.robosuite_batch import RobosuiteBatch
+from rlco.physics.robosuite.robosuite_api import load_composite_controller_config
+from rlco.physics.robosuite.stepper import keep_divergence
+from rlco.physics.robosuite.tasks import make_plain
 
 JOINTS = {
     "type": "JOINT_POSITION",
@@ -83,7 +83,7 @@ def anchor(env: Any, batch: RobosuiteBatch) -> None:
     state = np.empty(mujoco.mj_stateSize(model, kind))
     mujoco.mj_getState(model, data, state, kind)
     mujoco.mj_setState(batch.model, batch.data[0], state, kind)
-    batch.copies.memory.grip[0] = env.robots[0].gripper["right"].current_action
+    batch.worlds.memory.grip[0] = env.robots[0].gripper["right"].current_action
 
 
 @dataclass

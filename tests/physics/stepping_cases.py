@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.physics.push_cube import TASK
-from rlco.physics.task import InitialState
+from rlco.physics.spec.task import InitialState
+from rlco.physics.tasks.push_cube import TASK
 
 Array = NDArray[np.float64]
 

@@ -9,7 +9,7 @@ from lerobot.envs.factory import make_env
 from lerobot.envs.utils import env_to_policy_features, preprocess_observation
 from lerobot_env_rlco import RlcoEnv
 
-from rlco.physics.gymnasium_env import TaskEnv
+from rlco.physics.tasks.gymnasium_env import TaskEnv
 
 
 def test_lerobot_knows_the_type_and_its_features() -> None:

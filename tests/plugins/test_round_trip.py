@@ -20,8 +20,8 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from vla_files import record, tiny_with_statistics
 
-from rlco.physics.gymnasium_env import TaskEnv
-from rlco.physics.task import make_task
+from rlco.physics.tasks.gymnasium_env import TaskEnv
+from rlco.physics.tasks.make_task import make_task
 from rlco.policies import make_policy, save_policy, task_sizes
 from rlco.run import run_recipe
 

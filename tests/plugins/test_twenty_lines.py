@@ -15,10 +15,10 @@ from vla_files import record, tiny_with_statistics
 
 from rlco.data import load_demos
 from rlco.errors import NoSignalError
-from rlco.losses import MasterWeightAdamW
-from rlco.physics.task import make_task
-from rlco.policies.lerobot_checkpoint import load_lerobot
-from rlco.policies.lerobot_policies import LeRobotPolicy
+from rlco.physics.tasks.make_task import make_task
+from rlco.policies.vla.lerobot.checkpoint import load_lerobot
+from rlco.policies.vla.lerobot.policy import LeRobotPolicy
+from rlco.training import MasterWeightAdamW
 
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "docs" / "co_train_lerobot.py"

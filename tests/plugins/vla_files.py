@@ -8,8 +8,8 @@ import numpy as np
 import torch
 
 from rlco.data import DemoWriter
-from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
-from rlco.physics.task import make_task
+from rlco.physics.spec.names import ACTION_NAMES, STATE_NAMES
+from rlco.physics.tasks.make_task import make_task
 from rlco.policies.tiny.smolvla import write_tiny_smolvla
 
 

@@ -11,11 +11,11 @@ from typing import Any
 import torch
 from tensordict import TensorDict, TensorDictBase
 
-from rlco.policies.lerobot_checkpoint import LeRobotCheckpoint, load_lerobot
-from rlco.policies.lerobot_policies import LeRobotPolicy
 from rlco.policies.tiny.openvla import write_tiny_openvla
 from rlco.policies.tiny.pi05 import write_tiny_pi05
 from rlco.policies.tiny.smolvla import write_tiny_smolvla
+from rlco.policies.vla.lerobot.checkpoint import LeRobotCheckpoint, load_lerobot
+from rlco.policies.vla.lerobot.policy import LeRobotPolicy
 
 INSTRUCTIONS = ("push the blue cube onto its mark", "open the top drawer")
 KINDS = ("smolvla", "pi05")

@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import sys
-
 import pytest
-from recipe_cases import RECIPES, RL_CO, SFT, Assets, start
-
-sys.path.insert(0, str(RECIPES))
+from recipe_cases import RL_CO, SFT, Assets, start
 
 
 @pytest.fixture(scope="session")

@@ -14,8 +14,8 @@ from typing import Any
 import pytest
 from recipe_cases import RECIPES, RL_CO, Assets, start
 
-from rlco.metrics import read_metrics
 from rlco.run import Run
+from rlco.runs.metrics import read_metrics
 
 STAGES = pytest.mark.parametrize("stage", ["sft", "rl_co"])
 
@@ -177,7 +177,7 @@ def test_quickstart_runs_to_its_report(
     methods = ("real_only", "sft", "rl_co")
     assert got == {(m, d) for m in methods for d in ("sim", "stand_in")}
     page = (folder / "report.html").read_text()
-    for word in (*methods, "stand_in", "No robot moved"):
+    for word in (*methods, "stand_in", "no robot moved"):
         assert word in page
     for name in ("success", "curves", "gradients", "forgetting"):
         assert (folder / "plots" / f"{name}.png").stat().st_size > 1000

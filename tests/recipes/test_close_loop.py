@@ -60,7 +60,7 @@ def test_logs_hold_what_a_robot_could_tell(run: Path) -> None:
 
 def test_each_method_is_trained_and_evaluated_where_the_effect_is(run: Path) -> None:
     rows = json.loads((run / "results.json").read_text())["rows"]
-    assert [row["method"] for row in rows] == ["nominal", "mended", "oracle"]
+    assert [row["method"] for row in rows] == ["nominal", "corrected", "oracle"]
     assert {(row["domain"], row["seed"], row["episodes"]) for row in rows} == {
         ("stand_in", 3, 2)
     }
@@ -68,11 +68,11 @@ def test_each_method_is_trained_and_evaluated_where_the_effect_is(run: Path) -> 
     # The same episodes, but under the effect the arm goes another way.
     first = {
         method: (run / "demos" / f"{method}_s3" / "data/chunk-000/file-000.parquet")
-        for method in ("nominal", "mended", "oracle")
+        for method in ("nominal", "corrected", "oracle")
     }
     assert first["nominal"].read_bytes() != first["oracle"].read_bytes()
     page = (run / "report.html").read_text()
-    for word in ("nominal", "mended", "oracle", "joint_offset", "No robot moved"):
+    for word in ("nominal", "corrected", "oracle", "joint_offset", "No robot moved"):
         assert word in page
     assert (run / "plots" / "success.png").stat().st_size > 1000
 
@@ -92,7 +92,7 @@ def test_what_is_won_back_is_told_as_a_share_of_what_was_lost() -> None:
         row(method, seed, successes)
         for method, both in {
             "nominal": (2, 4),
-            "mended": (7, 7),
+            "corrected": (7, 7),
             "oracle": (9, 7),
         }.items()
         for seed, successes in enumerate(both)

@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 from recipe_cases import RL_CO, SFT, start
 
-from rlco.metrics import read_metrics
-from rlco.physics.task import TASK_NAMES, make_task
+from rlco.physics.spec.names import TASK_NAMES
+from rlco.physics.tasks.make_task import make_task
 from rlco.policies import load_policy
+from rlco.runs.metrics import read_metrics
 
 DOCS = Path(__file__).parents[2] / "docs"
 NOT_DEFAULT = (*TASK_NAMES[1:], "reach:TASK")

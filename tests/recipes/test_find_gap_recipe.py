@@ -11,26 +11,31 @@ import sys
 import time
 from pathlib import Path
 
+import mujoco
 import numpy as np
 import pytest
+from hidden_arms import TWO_LINKS, record
 from recipe_cases import RECIPES, refused, start, tree
-
-from rlco.gap.log import Array
-from rlco.physics.effects import EFFECTS, AppliedEffect
-
-sys.path.insert(0, str(Path(__file__).parents[1] / "gap"))
 from small_problems import ARM, arm_problem
+
+from rlco.gap.logs.log import Array, Log
+from rlco.physics.effects import AppliedEffect
 
 Capture = pytest.CaptureFixture[str]
 DRAG = RECIPES.parent / "docs" / "my_effect.py"
 DAMPING = AppliedEffect("viscous_damping", "shoulder", {"damping": 0.6})
 
 
-def write_case(folder: Path, *hidden: AppliedEffect) -> list[str]:
+def arguments(folder: Path, *hidden: AppliedEffect) -> list[str]:
     """Write the small arm and recordings of it; return the recipe's arguments."""
+    return write_log(folder, ARM, arm_problem(*hidden, recordings=6, seconds=4.0).log)
+
+
+def write_log(folder: Path, xml: str, log: Log) -> list[str]:
+    """Write an arm and recordings of it; return the recipe's arguments."""
     (folder / "logs").mkdir(parents=True)
-    (folder / "arm.xml").write_text(ARM)
-    for recording in arm_problem(*hidden, recordings=6, seconds=4.0).log.recordings:
+    (folder / "arm.xml").write_text(xml)
+    for recording in log.recordings:
         columns = [recording.time[:, None], recording.position, recording.command]
         rows: Array = np.concatenate([np.asarray(c) for c in columns], axis=1)
         header = "time,shoulder,elbow,cmd_shoulder,cmd_elbow"
@@ -41,7 +46,7 @@ def write_case(folder: Path, *hidden: AppliedEffect) -> list[str]:
 
 @pytest.fixture(scope="module")
 def case(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
-    return write_case(tmp_path_factory.mktemp("damped"), DAMPING)
+    return arguments(tmp_path_factory.mktemp("damped"), DAMPING)
 
 
 @pytest.fixture(scope="module")
@@ -74,6 +79,27 @@ def test_all_files_lie_in_the_folder(out: Path) -> None:
     ).read_text("utf-8")
 
 
+def test_a_model_that_diverges_has_a_report_and_no_corrected_model(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    case, folder = arguments(tmp_path / "case"), tmp_path / "out"
+    model = tmp_path / "case" / "arm.xml"
+    euler = ARM.replace('timestep="0.005" integrator="implicitfast"', 'timestep="0.02"')
+    model.write_text(euler.replace('kp="40"', 'kp="9000"'))
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    start("find_gap", *case, f"out={folder}", "threads=1")
+    assert set(tree(folder)) == {"report.json", "report.html"}
+    found = json.loads((folder / "report.json").read_text())
+    assert (found["verdict"], found["complete"]) == ("unstable_model", True)
+    assert found["unstable"]["timestep"] < 0.02
+    assert len(found["unstable"]["recordings"]) == 6
+    page = (folder / "report.html").read_text("utf-8")
+    assert "nothing is searched in a simulation that diverges" in page
+    # MuJoCo would leave a log of its own where the command was typed.
+    assert not tree(tmp_path / "here")
+
+
 def test_an_existing_folder_is_left_as_it_is(
     capsys: Capture, case: list[str], tmp_path: Path
 ) -> None:
@@ -94,8 +120,9 @@ def test_an_existing_folder_is_left_as_it_is(
         ("rename=a", ["rename='a'", "THEIRS:OURS"]),
         ("rename=elbow:elbo", ["elbo"]),
         ("angles=grad", ["'grad'", "'degrees'", "'radians'"]),
-        ("effects=nowhere.py", ["'nowhere.py'", "no file"]),
+        ("effects=nowhere.py", ["'nowhere.py'", "is not a file"]),
         (f"effects={__file__}", ["registers no effect"]),
+        ("effects_code=nowhere.py", ["'nowhere.py'", "is not a file"]),
         ("spread=0.9", ["spread", "0.5"]),
     ],
 )
@@ -110,6 +137,28 @@ def test_wrong_input_is_one_sentence_and_makes_nothing(
     assert not folder.exists()
 
 
+def test_folders_above_the_report_are_not_left_behind_either(
+    capsys: Capture, case: list[str], tmp_path: Path
+) -> None:
+    refused(capsys, "find_gap", *case, f"out={tmp_path / 'a' / 'b'}", "rename=a")
+    assert not (tmp_path / "a").exists()
+
+
+def test_the_disagreement_is_told_before_the_search_and_the_verdict_after(
+    capsys: Capture, case: list[str], tmp_path: Path
+) -> None:
+    capsys.readouterr()
+    start("find_gap", *case, f"out={tmp_path / 'out'}", "threads=1")
+    lines = capsys.readouterr().err.splitlines()
+    assert "before any fit, the disagreement is" in lines
+    told = lines[lines.index("before any fit, the disagreement is") + 1 :]
+    assert "% in shoulder" in told[0]
+    verdict = "named: Missing from the model: viscous damping at shoulder."
+    assert verdict in told
+    assert any("damping 0." in line for line in told[told.index(verdict) :])
+    assert told[-1] == f"report: {tmp_path / 'out' / 'report.html'}"
+
+
 ONE_THREAD = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 
@@ -118,20 +167,20 @@ def command(case: list[str], folder: Path) -> list[str]:
     return [sys.executable, script, *case, f"out={folder}", "threads=1"]
 
 
+def dragged(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Hold the elbow back with the square of its speed."""
+    data.qfrc_applied[1] = -0.25 * abs(data.qvel[1]) * data.qvel[1]
+
+
 def test_an_effect_of_ones_own_is_found_and_torch_is_not_needed(tmp_path: Path) -> None:
     folder = tmp_path / "out"
-    drag = AppliedEffect("quadratic_drag", "elbow", {"drag": 0.25})
-    try:
-        importlib.import_module("find_gap").register_effects(str(DRAG))
-        case = write_case(tmp_path / "drag", drag)
-    finally:
-        EFFECTS.pop("quadratic_drag", None)
+    case = write_log(tmp_path / "drag", TWO_LINKS, record(act=dragged))
     # A process of its own knows the effect by its file alone.
     words = "import sys, runpy; sys.argv = sys.argv[1:]\n"
     words += "runpy.run_path(sys.argv[0], run_name='__main__')\n"
     words += "assert 'torch' not in sys.modules, 'torch was imported'"
     program = [sys.executable, "-c", words, *command(case, folder)[1:]]
-    subprocess.run([*program, f"effects={DRAG}"], check=True, env=ONE_THREAD)
+    subprocess.run([*program, f"effects_code={DRAG}"], check=True, env=ONE_THREAD)
     (effect,) = json.loads((folder / "report.json").read_text())["effects"]
     assert (effect["name"], effect["target"]) == ("quadratic_drag", "elbow")
     assert effect["parameters"]["drag"]["value"] == pytest.approx(0.25, rel=0.1)

@@ -1,4 +1,4 @@
-"""Pictures through the recipes: recorded, imitated, reinforced, evaluated; refusals."""
+"""Images through the recipes: recorded, imitated, reinforced, evaluated; refusals."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ from recipe_cases import RL_CO, SFT, Assets, refused, start
 
 from rlco.data import load_demos, load_task_demos
 from rlco.keys import ENVIRONMENT_STATE, IMAGE
-from rlco.metrics import read_metrics
-from rlco.physics.task import make_task
+from rlco.physics.tasks.make_task import make_task
 from rlco.policies import load_policy
+from rlco.runs.metrics import read_metrics
+from rlco.training.policy_options import FlowOptions
+from rlco.training.stage_one import new_policy
 
 SEEN = ("image=conv", "image_size=64")
 ONE = [o for o in RL_CO if not o.startswith(("iterations", "critic_iterations"))]
@@ -26,7 +28,7 @@ ONE = [o for o in RL_CO if not o.startswith(("iterations", "critic_iterations"))
 
 @dataclass(frozen=True)
 class Seen:
-    """Demonstrations with pictures of two cameras, and a policy of Stage I on both."""
+    """Demonstrations with images of two cameras, and a policy of Stage I on both."""
 
     sim: Path
     real: Path
@@ -40,7 +42,7 @@ def seen(tmp_path_factory: pytest.TempPathFactory, rendering: None) -> Seen:
     start(
         "record_demos", "episodes=1", "camera=agentview", "image_size=64", out(made.sim)
     )
-    # As on a robot: larger pictures, video, and nobody tells where objects are.
+    # As on a robot: larger images, video, and nobody tells where objects are.
     larger = ["camera=agentview", "image_size=80", "video=true", "domain=stand_in"]
     start("record_demos", "episodes=1", "seed=1", *larger, out(made.real))
     forget_poses(made.real)
@@ -68,7 +70,7 @@ def test_recorded_pictures_are_read_back(seen: Seen) -> None:
     assert sim.frames()[IMAGE].shape == (len(sim), 3, 64, 64)
     real = load_demos(seen.real, image_size=(64, 64)).frames()[IMAGE].float()
     assert real.shape[1:] == (3, 64, 64)
-    # The same table from nearly the same place: most of the picture is alike.
+    # The same table from nearly the same place: most of the image is alike.
     difference = (real[0] - sim.frames()[IMAGE][0].float()).abs()
     assert float(difference.median()) < 20
 
@@ -185,17 +187,27 @@ def test_a_camera_that_is_not_there_is_refused(
 
 def test_quickstart_hands_its_options_on() -> None:
     quickstart: Any = importlib.import_module("quickstart")
-    options: Any = importlib.import_module("policy_options")
-    flow = options.FlowOptions(steps=2)
-    config = quickstart.Config(policy="flow", flow=flow, image="conv", augment=True)
+    flow = FlowOptions(steps=2)
+    config = quickstart.Config(
+        policy="flow",
+        flow=flow,
+        image="conv",
+        augment=True,
+        eval_domains=["sim"],
+        train_domain="stand_in",
+        effects_code="mine.py",
+    )
     nowhere = {"sim": "", "real": "", "heldout": ""}
     one = quickstart.stage_one(config, nowhere, "sft")
-    policy = quickstart.sft.new_policy(one)
+    policy = new_policy(one)
     assert (policy.kind, policy.chain.steps) == ("flow", 2)
     assert policy.image_size == (64, 64)
     two = quickstart.stage_two(config, Path(), nowhere, "rl_co")
-    assert one.augment
-    assert two.augment
+    assert two.train_domain == "stand_in"
+    for stage in (one, two):
+        assert stage.augment
+        assert stage.eval_domains == ["sim"]
+        assert stage.effects_code == "mine.py"
 
 
 def test_data_and_policies_without_pictures(
@@ -204,16 +216,16 @@ def test_data_and_policies_without_pictures(
     folder = out(tmp_path / "out")
     given = [f"sim_demos={assets.sim}", f"real_demos={assets.real}", *SFT, *SEEN]
     line = refused(capsys, "sft", *given, folder)
-    assert "has no pictures" in line
+    assert "has no images" in line
     assert str(assets.sim) in line
     policy = f"policy={seen.sft / 'policy'}"
     line = refused(capsys, "rl_co", policy, f"real_demos={assets.real}", *ONE, folder)
-    assert "has no pictures" in line
+    assert "has no images" in line
     plain = [f"policy={assets.sft / 'policy'}", f"real_demos={assets.real}"]
     line = refused(capsys, "rl_co", *plain, *ONE, "augment=true", folder)
     assert "reads none" in line
     rest = [o for o in SFT if not o.startswith("eval_episodes")]
     lift = ["task=robosuite:Lift", "eval_domains=[sim]", *rest, *SEEN]
     line = refused(capsys, "sft", f"sim_demos={seen.sim}", "sim_ratio=1", *lift, folder)
-    assert "pictures are not supported for 'robosuite:Lift'" in line
+    assert "images are not supported for 'robosuite:Lift'" in line
     assert not (tmp_path / "out").exists()

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 from recipe_cases import RL_CO, SFT, Assets, refused, start
 
-from rlco.metrics import read_metrics
 from rlco.run import Run
+from rlco.runs.metrics import read_metrics
 
 TOKEN = ("policy=token", "token.width=16", "token.layers=1", "token.bins=16")
 FLOW = ("policy=flow", "flow.steps=2", "flow.noisy_steps=one")

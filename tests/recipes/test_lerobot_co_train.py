@@ -17,11 +17,12 @@ from safetensors.torch import load_file, save_file
 from tensordict import TensorDict, TensorDictBase
 
 from rlco.data import DemoWriter
-from rlco.errors import CheckpointError, RenderingError
-from rlco.physics import camera
-from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
-from rlco.policies.lerobot_inputs import dataset_stats
+from rlco.errors import CheckpointError, NonFiniteError, RenderingError
+from rlco.physics.rendering import camera
+from rlco.physics.spec.names import ACTION_NAMES, STATE_NAMES
 from rlco.policies.tiny.smolvla import write_tiny_smolvla
+from rlco.policies.vla.lerobot.inputs import dataset_stats
+from rlco.policies.vla.prefix_critic import PrefixCritic
 
 RECIPE = "lerobot_co_train"
 LAST = "lerobot/checkpoints/last/pretrained_model"
@@ -36,6 +37,12 @@ def configured(tiny: Path, **options: Any) -> Any:
     """Return the recipe and its options."""
     recipe: Any = importlib.import_module(RECIPE)
     return recipe, recipe.Config(policy=str(tiny), real_coeff=0.0, **options)
+
+
+def made(recipe: Any, config: Any, policy: Any) -> Any:
+    """Return the recipe's learner with a critic and no anchor, for four decisions."""
+    critic = PrefixCritic(policy.model.summary_size)
+    return recipe.make_learner(config, policy, critic, None, 4)
 
 
 def rollout(policy: Any, critic: Any = None, count: int = 4) -> TensorDictBase:
@@ -77,7 +84,7 @@ def furthest(before: list[torch.Tensor], module: torch.nn.Module) -> float:
 def test_noise_moves_when_the_policy_does(tiny: Path, train_policy: bool) -> None:
     recipe, config = configured(tiny, lr=1e-3, minibatch=2, accumulate=2)
     _, policy, _ = recipe.load(config)
-    learner = recipe.make_learner(config, policy, None, 4)
+    learner = made(recipe, config, policy)
     parts = {
         "critic": learner.critic,
         "noise": policy.noise,
@@ -95,7 +102,7 @@ def test_the_noises_gradient_is_clipped_with_the_policys(tiny: Path) -> None:
     for limit in (1.0, 1e-14):
         recipe, config = configured(tiny, minibatch=4, max_grad_norm=limit)
         _, policy, _ = recipe.load(config)
-        learner = recipe.make_learner(config, policy, None, 4)
+        learner = made(recipe, config, policy)
         before = copies(policy.noise)
         learner.update(rollout(policy, learner.critic), 1)
         far.append(furthest(before, policy.noise))
@@ -110,7 +117,7 @@ def test_weights_of_16_bits_move_by_small_steps_too(tiny: Path) -> None:
     _, policy, _ = recipe.load(config)
     expert = policy.policy.model.vlm_with_expert.lm_expert.bfloat16()
     policy.policy.model.vlm_with_expert.vlm.bfloat16()
-    learner = recipe.make_learner(config, policy, None, 4)
+    learner = made(recipe, config, policy)
     learner.update(rollout(policy, learner.critic), 1)
     gone = [
         float((learner.actor_optimizer.state[p]["master"] - p).abs().max())
@@ -128,7 +135,7 @@ def test_minibatches_together_make_one_update(tiny: Path) -> None:
             tiny, minibatch=minibatch, accumulate=accumulate, max_grad_norm=1e9
         )
         _, policy, _ = recipe.load(config)
-        learner = recipe.make_learner(config, policy, None, 4)
+        learner = made(recipe, config, policy)
         learner.critic_optimizer = torch.optim.SGD(policy.noise.parameters(), lr=1.0)
         before = copies(policy.noise)
         learner.update(rollout(policy, learner.critic), 1)
@@ -139,6 +146,37 @@ def test_minibatches_together_make_one_update(tiny: Path) -> None:
     torch.testing.assert_close(steps[1], steps[0], atol=1e-7, rtol=1e-3)
     # What is left at the end of a rollout is followed too, at its own share.
     torch.testing.assert_close(steps[2], steps[0] / 2, atol=1e-7, rtol=1e-3)
+
+
+def test_no_step_follows_gradients_of_which_one_minibatchs_is_not_finite(
+    tiny: Path,
+) -> None:
+    recipe, config = configured(tiny, minibatch=1, accumulate=2, critic_lr=1e-3)
+    _, policy, _ = recipe.load(config)
+    learner = made(recipe, config, policy)
+    td = rollout(policy, learner.critic)
+    td["value_target"][2] = torch.nan
+    before = copies(policy), copies(learner.critic)
+    with pytest.raises(NonFiniteError, match="loss_critic became nan in update "):
+        learner.update(td, 1)
+    for old, part in zip(before, (policy, learner.critic), strict=True):
+        assert furthest(old, part) < 1e-2  # NaN would be no less
+    assert all(bool(p.isfinite().all()) for p in policy.parameters())
+
+
+def test_training_that_diverges_leaves_no_checkpoint_behind(
+    tiny: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = ["config=debug", f"policy={tiny}", "real_coeff=0", "eval_episodes=0"]
+    given += ["horizon=8", "lr=1e36", "critic_iterations=1", "iterations=2"]
+    given += ["minibatch=1", "accumulate=1", f"out={tmp_path / 'run'}"]
+    with pytest.raises(SystemExit) as caught:
+        start(RECIPE, *given)
+    assert caught.value.code == 2
+    assert "lower lr" in capsys.readouterr().err
+    (kept,) = (tmp_path / "run" / "checkpoints").iterdir()
+    assert kept.name == "step_0000001.safetensors"
+    assert not (tmp_path / "run" / "lerobot").exists()
 
 
 @pytest.mark.parametrize(
@@ -198,7 +236,7 @@ def test_a_checkpoint_leaves_out_what_is_frozen(tiny: Path) -> None:
     for trained in ("lora", "expert", "full"):
         recipe, config = configured(tiny, trained=trained)
         _, policy, _ = recipe.load(config)
-        state = recipe.make_learner(config, policy, None, 4).state()
+        state = made(recipe, config, policy).state()
         named = policy.named_parameters()
         resting = {name for name, weights in named if not weights.requires_grad}
         assert not resting & state["policy"].keys()
@@ -207,7 +245,7 @@ def test_a_checkpoint_leaves_out_what_is_frozen(tiny: Path) -> None:
     assert sizes["lora"] < sizes["expert"] < sizes["full"]
     recipe, config = configured(tiny, trained="full")
     _, policy, _ = recipe.load(config)
-    learner = recipe.make_learner(config, policy, None, 4)
+    learner = made(recipe, config, policy)
     with pytest.raises(CheckpointError, match="same trained="):
         learner.load(held["expert"][0])
 
@@ -290,7 +328,7 @@ def test_groups_statistics_and_fewer_steps_of_a_chunk(
         (["policy={tiny}", "real_coeff=0", "stats=nowhere"], "nowhere"),
         (
             ["policy={tiny}", "real_coeff=0", "advantage=mc", "num_envs=9"],
-            "no multiple of group_size=8",
+            "not a multiple of group_size=8",
         ),
         (["policy={tiny}", "real_coeff=0", "camera=observation.images.wrist"], "front"),
         (["policy={tiny}", "real_demos=nowhere"], "nowhere"),
@@ -321,7 +359,42 @@ def test_a_checkpoint_that_reads_another_robots_state_is_refused(
         save_file(kept | wide, file)
     out = tmp_path / "out"
     told = refused(capsys, RECIPE, f"policy={other}", "real_coeff=0", f"out={out}")
-    assert "reads 9 state numbers, the robot or the task gives 7" in told
+    assert "reads 9 state dimensions, the robot or the task gives 7" in told
+
+
+def test_code_that_a_checkpoint_names_is_refused_until_an_option_names_it(
+    tiny: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    (tmp_path / "my_module.py").write_text(
+        "from lerobot.processor import DeviceProcessorStep\n"
+        "from rlco.physics.tasks.push_cube import TASK\n"
+        "class MyStep(DeviceProcessorStep):\n"
+        "    pass\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    mine = tmp_path / "mine"
+    shutil.copytree(tiny, mine)
+    file = mine / "policy_preprocessor.json"
+    raw = json.loads(file.read_text())
+    raw["steps"].append({"class": "my_module.MyStep", "config": {}})
+    file.write_text(json.dumps(raw))
+    # The task that is trained on is named by an option of its own.
+    env = {"type": "rlco", "task": "my_module:TASK"}
+    training = {"dataset": {"repo_id": "mine/data"}, "env": env}
+    (mine / "train_config.json").write_text(json.dumps(training))
+    given = [f"policy={mine}", "real_coeff=0", "task=my_module:TASK"]
+    out = tmp_path / "out"
+    told = refused(capsys, RECIPE, *given, f"out={out}")
+    assert "allow_code=['my_module.MyStep']" in told
+    assert not out.exists()
+    recipe, config = configured(
+        mine, task="my_module:TASK", allow_code=["my_module.MyStep"]
+    )
+    checkpoint, _, _ = recipe.load(config)
+    assert type(checkpoint.preprocessor.steps[-1]).__name__ == "MyStep"
 
 
 def test_options_are_checked_before_the_weights_are_read(

@@ -31,6 +31,8 @@ Capture = pytest.CaptureFixture[str]
         ("record_demos", "episods=3", ["'episods'", "did you mean 'episodes'"]),
         ("sft", "sim_ration=0.5", ["'sim_ration'", "did you mean 'sim_ratio'"]),
         ("sft", "sim_ratio=2", ["sim_ratio", "1"]),
+        ("sft", "lr=4e37", ["lr", "4e+37", "1e+37"]),
+        ("rl_co", "critic_lr=4e37", ["critic_lr", "4e+37", "1e+37"]),
         ("rl_co", "real_coef=1", ["'real_coef'", "did you mean 'real_coeff'"]),
         ("evaluate", "episods=3", ["'episods'", "did you mean 'episodes'"]),
         ("quickstart", "itterations=3", ["did you mean 'iterations'"]),
@@ -236,7 +238,7 @@ def test_a_checkpoint_that_does_not_fit(
 
 def test_resuming_what_is_no_run(capsys: Capture, tmp_path: Path) -> None:
     line = refused(capsys, "sft", f"resume={tmp_path}")
-    assert "is no run directory" in line
+    assert "is not a run directory" in line
     assert tree(tmp_path) == {}
 
 

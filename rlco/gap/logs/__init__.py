@@ -1,4 +1,4 @@
-"""Measured logs of many formats, read and checked."""
+"""Reading and checking measured logs of many formats."""
 
 from __future__ import annotations
 

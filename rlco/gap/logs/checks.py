@@ -1,4 +1,4 @@
-"""What is wrong with a log as a whole, told in one sentence each."""
+"""Checks of a log as a whole; each problem is reported in one sentence."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from rlco.errors import DataError
-from rlco.gap.log import Array, Log
-from rlco.gap.logs.following import check_following
+from rlco.gap.logs.log import Array, Log
 from rlco.gap.logs.matching import few
+from rlco.gap.logs.tracking_checks import check_tracking
 from rlco.gap.model import LoadedModel
 
-#: Fewer seconds of all recordings together show no effect.
+#: Less data than this, over all recordings, identifies no effect [s].
 FEWEST_SECONDS = 4.0
-# Worth having for a first look; told in the same sentence.
+# Recommended for a screening; named in the same message.
 _ENOUGH_SECONDS = 30.0
 _FEWEST_ROWS = 50
 # A joint may be this much outside its range: soft limits, zeros that differ [rad, m].
@@ -32,10 +32,10 @@ _CUT_ROWS = 0.005
 
 
 def check_log(log: Log, model: LoadedModel | None) -> tuple[str, ...]:
-    """Refuse what no comparison can be made with, and note what is suspicious.
+    """Refuse logs that cannot be compared, and note what is suspicious.
 
     Args:
-        log: In SI units, its times mended.
+        log: In SI units, its times corrected.
         model: Whose log it should be; None if there is none.
 
     Returns:
@@ -52,7 +52,7 @@ def check_log(log: Log, model: LoadedModel | None) -> tuple[str, ...]:
     notes = _still_joints(log)
     if model is not None:
         _refuse_other_model(log, model)
-        check_following(log, model)
+        check_tracking(log, model)
     return (*notes, *_cut_off(log, model))
 
 
@@ -76,8 +76,8 @@ def _still_joints(log: Log) -> list[str]:
             "that these columns are positions."
         )
     still = [name for name, moved in zip(log.joints, moves, strict=True) if not moved]
-    told = f"The log shows nothing of joints that never move: {few(still)}."
-    return [told] if still else []
+    note = f"Joints that never move are not informative: {few(still)}."
+    return [note] if still else []
 
 
 def _moves(position: Array) -> Array:
@@ -124,13 +124,15 @@ def _cut_off(log: Log, model: LoadedModel | None) -> list[str]:
             level = _cut_level(parts)
             if level is None or _at_limit(kind, name, level, model):
                 continue
-            told = f"the {kind} of {name} is cut off at {level:.4g}"
+            finding = f"the {kind} of {name} is cut off at {level:.4g}"
             if kind == "position":
                 raise DataError(
-                    f"{told}, again and again in the middle of a motion: its sensor "
+                    f"{finding}, repeatedly in the middle of a motion: its sensor "
                     "saturates; leave these recordings out, or record within its range."
                 )
-            notes.append(f"{told[0].upper()}{told[1:]}, where its sensor saturates.")
+            notes.append(
+                f"{finding[0].upper()}{finding[1:]}, where its sensor saturates."
+            )
     return notes
 
 
@@ -144,10 +146,10 @@ def _at_limit(kind: str, name: str, level: float, model: LoadedModel | None) -> 
 
 
 def _cut_level(parts: Sequence[Array]) -> float | None:
-    """Return the extreme at which a signal is cut off, None where it is not.
+    """Return the extreme at which a signal saturates; None where it does not.
 
     A robot that rests at its extreme slows down before and starts slowly after; at
-    the end of a sensor's range the motion goes on, and one number stands for it.
+    the end of a sensor's range the motion goes on while the reading stays constant.
     """
     if not parts:
         return None

@@ -7,9 +7,9 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from rlco.gap.log import Log, Recording
+from rlco.gap.logs.log import Log, Recording
 
-#: The fact that tells a log's unit of length: gravity in that unit a second squared.
+#: The fact that gives a log's unit of length: gravity in that unit per second squared.
 GRAVITY = "g"
 _SPEEDS = ("vx", "vy", "vz")
 # Gravity differs by less than this from place to place.
@@ -17,10 +17,10 @@ _SAME = 0.02
 
 
 def to_metres(log: Log, model: mujoco.MjModel) -> Log:
-    """Return the log with poses in metres, where its facts tell their gravity.
+    """Return the log with poses in metres, where its facts give their gravity.
 
     Tracking is often in units of the tracked body's size. What falls with ``g = 187``
-    units a second squared, where the model's gravity is 9.81 m/s^2, is measured in
+    units per second squared, where the model's gravity is 9.81 m/s^2, is measured in
     units of 0.0524 m.
 
     Example:
@@ -36,7 +36,7 @@ def to_metres(log: Log, model: mujoco.MjModel) -> Log:
         return log
     note = (
         f"Lengths are in units of {unit:.4g} m, since g is {gravity / unit:.4g} of "
-        "them a second squared, and were converted."
+        "them per second squared, and were converted."
     )
     recordings = tuple(_scaled(recording, unit) for recording in log.recordings)
     return replace(log, recordings=recordings, notes=(*log.notes, note))

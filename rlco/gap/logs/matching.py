@@ -45,7 +45,7 @@ def match_columns(table: Table, model: LoadedModel | None) -> Names:
         _refuse_unmatched(table, joints, model)
         actuators = _match_actuators(sent, model)
     else:
-        # A task's own actions are no actuators of its model.
+        # A task's own actions are not actuators of its model.
         actuators = {stem: stem for stem in sent}
     return Names(joints, actuators, tuple(_notes(table, joints, actuators, model)))
 
@@ -88,6 +88,33 @@ def counted_from_one(table: Table) -> Table:
     return replace(table, columns=columns)
 
 
+def without_strays(table: Table, model: LoadedModel | None) -> Table:
+    """Set aside what reads like a joint's name beside joints that are counted.
+
+    ``speed_scaling`` and ``runtime_state`` beside ``actual_q_0`` are not joints.
+    """
+    if model is None:
+        return table
+    names = (*model.joints, *model.actuators)
+    strays: set[tuple[Kind, str]] = set()
+    for kind in (*MEASURED, "command"):
+        stems = list(table.of_kind(kind))
+        counted = [stem for stem in stems if stem.isdecimal()]
+        others = [stem for stem in stems if not stem.isdecimal()]
+        if len(counted) > 1 and others and not match_names(others, names):
+            strays |= {(kind, stem) for stem in others}
+    columns = tuple(
+        (
+            replace(c, kind="extra", stem=c.header)
+            if (c.kind, c.stem) in strays
+            else c,
+            values,
+        )
+        for c, values in table.columns
+    )
+    return replace(table, columns=columns)
+
+
 def few(names: Sequence[str], most: int = 8) -> str:
     """Return names in a row, the first few of many.
 
@@ -122,7 +149,7 @@ def _match_actuators(stems: Sequence[str], model: LoadedModel) -> dict[str, str]
     if not model.actuators:
         raise DataError(
             f"the log has {len(stems)} actions ({few(stems)}) and model {model.name!r} "
-            "has no actuators; give an MJCF file with a position servo a joint, or, "
+            "has no actuators; give an MJCF file with a position servo per joint, or, "
             "where the log has torques, leave the actions out with '-' as their new "
             f"name ({_HINT[5:]})."
         )

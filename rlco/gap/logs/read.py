@@ -1,4 +1,4 @@
-"""Reading a log: what lies there decides how it is read."""
+"""Reading a log: the files given determine the format."""
 
 from __future__ import annotations
 
@@ -7,23 +7,24 @@ from dataclasses import replace
 from pathlib import Path
 
 from rlco.errors import DataError
-from rlco.gap.log import Log
-from rlco.gap.logs.assemble import assemble
-from rlco.gap.logs.bam_files import is_bam, read_bam
 from rlco.gap.logs.checks import check_log
-from rlco.gap.logs.csv_files import read_csv
+from rlco.gap.logs.formats.assemble import assemble
+from rlco.gap.logs.formats.bam_files import is_bam, read_bam
+from rlco.gap.logs.formats.csv_files import read_csv
+from rlco.gap.logs.formats.dynamixel import steps_to_degrees
+from rlco.gap.logs.formats.lerobot_folders import read_lerobot
+from rlco.gap.logs.formats.npz_files import read_npz
 from rlco.gap.logs.lengths import to_metres
-from rlco.gap.logs.lerobot_folders import read_lerobot
+from rlco.gap.logs.log import Log
 from rlco.gap.logs.matching import few
-from rlco.gap.logs.npz_files import read_npz
-from rlco.gap.logs.rosbags import read_rosbag
 from rlco.gap.logs.table import Table
+from rlco.gap.logs.timing import correct_timing
+from rlco.gap.logs.units import to_radians
 from rlco.gap.model import LoadedModel
-from rlco.gap.timing import mend_timing
-from rlco.gap.units import to_radians
 
-_FORMATS = "a LeRobot folder, CSV, NPZ, a rosbag2 (.db3) or BAM's JSON"
-_SUFFIXES = (".csv", ".npz", ".db3", ".json")
+_FORMATS = "a LeRobot folder, CSV, NPZ, a rosbag2 (.mcap, .db3) or BAM's JSON"
+_BAGS = (".mcap", ".db3")
+_SUFFIXES = (".csv", ".npz", *_BAGS, ".json")
 
 
 def read_log(
@@ -40,13 +41,15 @@ def read_log(
     - A LeRobot data set, v2.1 or v3: ``observation.state`` (joint positions, named as
       the model's joints), ``observation.velocity``, ``observation.effort`` or
       ``observation.torque``, and ``action`` (named as its actuators).
-    - CSV with a header, and NPZ: see `rlco.gap.logs.headers` for the names, such as
-      ``time,q1,q2,dq1,dq2,tau1,tau2`` or ``time_ms,elbow,cmd_elbow``.
+    - CSV with a header, and NPZ: see `rlco.gap.logs.formats.headers` for the names,
+      such as ``time,q1,q2,dq1,dq2,tau1,tau2`` or ``time_ms,elbow,cmd_elbow``.
     - A free body's pose: ``x,y,z,qw,qx,qy,qz``.
-    - ``sensor_msgs/JointState`` of a rosbag2 (``.db3``).
+    - ``sensor_msgs/JointState`` of a rosbag2 (``.mcap``, ``.db3`` or a bag's folder),
+      and what ros2_control's controllers were sent.
     - BAM's JSON.
 
-    A folder of several CSV, NPZ, ``.db3`` or JSON files is that many recordings.
+    A folder of several CSV, NPZ, ``.mcap``, ``.db3`` or JSON files, or of several bags'
+    folders, is that many recordings.
 
     Args:
         path: A file or a folder.
@@ -57,11 +60,11 @@ def read_log(
         angles: ``degrees`` or ``radians`` where it is known; None to detect it.
 
     Returns:
-        The log, in SI units, with a note of all that was noticed and mended.
+        The log, in SI units, with notes on all that was noticed and corrected.
 
     Raises:
-        DataError: The log cannot be used as it is; says why and what to do.
-        UnknownNameError: `angles` is another word.
+        DataError: The log cannot be used as it is.
+        UnknownNameError: `angles` is neither.
     """
     path = Path(path)
     rename = dict(rename or {})
@@ -71,8 +74,9 @@ def read_log(
         tables, rename = read_lerobot(path, model, rename)
     else:
         tables = [table for file in _files(path) for table in _read(file, model)]
-    log = _mended(assemble(tables, model, rename))
-    angles = angles or _told_angles(tables)
+    tables = [steps_to_degrees(table) for table in tables]
+    log = _corrected(assemble(tables, model, rename))
+    angles = angles or _header_angles(tables)
     log = to_radians(log, None if model is None else model.model, angles)
     if log.body is not None and model is not None:
         log = to_metres(log, model.model)
@@ -83,16 +87,18 @@ def _files(path: Path) -> list[Path]:
     """Return the files of one format that a path names or holds."""
     if path.is_file():
         if path.suffix.lower() not in _SUFFIXES:
-            raise DataError(
-                f"log {str(path)!r} is of no known format; give {_FORMATS}."
-            )
+            raise DataError(f"log {str(path)!r} has no known format; give {_FORMATS}.")
         return [path]
+    if _is_bag(path):
+        return [path]
+    bags = sorted(folder for folder in path.iterdir() if _is_bag(folder))
     found = {
         suffix: sorted(p for p in path.iterdir() if p.suffix.lower() == suffix)
         for suffix in _SUFFIXES
     }
     # JSON beside other files describes them.
     found[".json"] = [file for file in found[".json"] if is_bam(file)]
+    found["bags"] = bags
     there = {suffix: files for suffix, files in found.items() if files}
     if len(there) > 1:
         counts = [f"{len(files)} {suffix}" for suffix, files in there.items()]
@@ -109,26 +115,36 @@ def _files(path: Path) -> list[Path]:
     return next(iter(there.values()))
 
 
+def _is_bag(path: Path) -> bool:
+    """Whether it is the folder of a rosbag2."""
+    return (path / "metadata.yaml").is_file()
+
+
 def _read(file: Path, model: LoadedModel | None) -> list[Table]:
     suffix = file.suffix.lower()
     if suffix == ".csv":
         return read_csv(file, model)
     if suffix == ".npz":
         return read_npz(file, model)
-    return read_rosbag(file) if suffix == ".db3" else read_bam(file)
+    if suffix in _BAGS or file.is_dir():
+        # Its decoders take a while to import, which other formats need not wait for.
+        from rlco.gap.logs.formats.rosbags import read_rosbag
+
+        return read_rosbag(file)
+    return read_bam(file)
 
 
-def _told_angles(tables: Sequence[Table]) -> str | None:
+def _header_angles(tables: Sequence[Table]) -> str | None:
     """Return the unit of angles that the headers give, where they give one."""
-    told = {column.angles for table in tables for column, _ in table.columns}
-    units = [unit for unit in told if unit is not None]
+    given = {column.angles for table in tables for column, _ in table.columns}
+    units = [unit for unit in given if unit is not None]
     return units[0] if len(units) == 1 else None
 
 
-def _mended(log: Log) -> Log:
-    mended = [mend_timing(recording) for recording in log.recordings]
-    parts = tuple(part for one in mended for part in one.parts)
-    notes = [note for one in mended for note in one.notes]
+def _corrected(log: Log) -> Log:
+    corrected = [correct_timing(recording) for recording in log.recordings]
+    parts = tuple(part for one in corrected for part in one.parts)
+    notes = [note for one in corrected for note in one.notes]
     if not parts:
         raise DataError(f"no part of the log is whole: {few(notes, 2)}")
     return replace(log, recordings=parts, notes=(*log.notes, *_few_notes(notes)))

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from rlco.errors import DataError
-from rlco.gap.log import Array
+from rlco.gap.logs.log import Array
 
 Kind = Literal["position", "velocity", "command", "torque", "pose", "extra"]
 Angles = Literal["degrees", "radians"]
@@ -17,7 +17,7 @@ Angles = Literal["degrees", "radians"]
 
 @dataclass(frozen=True)
 class Column:
-    """What a column is told to be.
+    """The meaning of a column, from its header.
 
     Attributes:
         kind: What was measured or sent.
@@ -25,12 +25,15 @@ class Column:
             empty where there is only one; of a pose the axis, such as ``x``.
         header: The column's name in the file, for messages.
         angles: The unit of angles that the header gives, where it gives one.
+        source: The topic that it is of, where the header gives one, such as
+            ``/joint_states``: several may report the same quantity.
     """
 
     kind: Kind
     stem: str
     header: str
     angles: Angles | None = None
+    source: str = ""
 
 
 @dataclass(frozen=True)
@@ -42,6 +45,7 @@ class Table:
         time: Seconds, (T,) [s].
         columns: The columns with their values, (T,) each.
         facts: Numbers that hold for the whole recording.
+        device: What was recorded, as its file names it; empty where it does not.
         notes: What was noticed while reading, one sentence each.
     """
 
@@ -50,6 +54,7 @@ class Table:
     columns: tuple[tuple[Column, Array], ...]
     facts: Mapping[str, float] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    device: str = ""
 
     def of_kind(self, kind: Kind) -> dict[str, Array]:
         """Return the columns of a kind by their stems."""
@@ -57,7 +62,7 @@ class Table:
 
 
 def require_finite(where: str, header: str, values: Array, time: Array | None) -> None:
-    """Raise where a column has a number that is none.
+    """Raise if a column has a value that is not finite.
 
     Raises:
         DataError: Names the column and the first such row.
@@ -70,6 +75,6 @@ def require_finite(where: str, header: str, values: Array, time: Array | None) -
     when = f" at {time[row]:.3f} s" if known and time is not None else ""
     raise DataError(
         f"column {header!r} of {where} is NaN, infinite or empty in {int(bad.sum())} "
-        f"of {len(values)} rows, first in row {row + 1}{when}; mend it, or leave the "
-        "column or these rows out."
+        f"of {len(values)} rows, first in row {row + 1}{when}; correct it, or leave "
+        "the column or these rows out."
     )

@@ -1,83 +1,142 @@
-"""The library of physical effects, one module each, and how they are applied.
+"""The library of physical effects, one module per theme, and their application.
 
-An effect of your own is one module with an `EFFECT` in it; `register` makes it known.
+An effect of your own is one `Effect`. `register` adds it, and `load_code` runs a file
+that registers some.
 """
 
 from __future__ import annotations
 
+import runpy
+from pathlib import Path
+
 from rlco.errors import RlcoError
-from rlco.physics.effects import (
-    actuator_gain,
-    actuator_lag,
-    armature,
-    backlash,
-    command_delay,
-    contact_friction,
-    contact_stiffness,
-    control_rate,
-    coulomb_friction,
-    drive_loss,
-    encoder_scale,
-    gravity_tilt,
-    joint_compliance,
-    joint_offset,
-    joint_stiffness,
-    link_inertia,
-    load_friction,
-    object_mass,
-    payload,
-    stribeck_friction,
-    torque_bias,
-    torque_limit,
-    velocity_limit,
-    viscous_damping,
+from rlco.physics.effects.actuator import (
+    ACTUATOR_GAIN,
+    ACTUATOR_LAG,
+    DRIVE_LOSS,
+    TORQUE_BIAS,
+    TORQUE_LIMIT,
 )
-from rlco.physics.effects.effect import (
-    AppliedEffect,
-    Effect,
-    Parameter,
-    StepTerms,
+from rlco.physics.effects.command import COMMAND_DELAY, CONTROL_RATE, VELOCITY_LIMIT
+from rlco.physics.effects.contact import CONTACT_FRICTION, CONTACT_STIFFNESS
+from rlco.physics.effects.effect import AppliedEffect, Effect, Evidence, Parameter
+from rlco.physics.effects.friction import (
+    COULOMB_FRICTION,
+    LOAD_FRICTION,
+    STRIBECK_FRICTION,
+    VISCOUS_DAMPING,
+)
+from rlco.physics.effects.inertia import (
+    ARMATURE,
+    GRAVITY_TILT,
+    LINK_INERTIA,
+    OBJECT_MASS,
+    PAYLOAD,
+)
+from rlco.physics.effects.scene import (
+    CONTROLLER_STIFFNESS,
+    FIXTURE_FRICTION,
+    SCENE_FRICTION,
+    SCENE_MASS,
+)
+from rlco.physics.effects.sensing import ENCODER_SCALE, JOINT_OFFSET
+from rlco.physics.effects.step_forces import address_of_law
+from rlco.physics.effects.transmission import (
+    BACKLASH,
+    JOINT_COMPLIANCE,
+    JOINT_STIFFNESS,
 )
 
-_MODULES = (
-    coulomb_friction,
-    viscous_damping,
-    stribeck_friction,
-    load_friction,
-    armature,
-    payload,
-    link_inertia,
-    actuator_gain,
-    actuator_lag,
-    torque_limit,
-    velocity_limit,
-    command_delay,
-    joint_offset,
-    encoder_scale,
-    joint_stiffness,
-    torque_bias,
-    backlash,
-    joint_compliance,
-    gravity_tilt,
-    control_rate,
-    drive_loss,
-    contact_friction,
-    contact_stiffness,
-    object_mass,
+# The order in which a search lists effects, and in which they change a model.
+_LIBRARY = (
+    COULOMB_FRICTION,
+    VISCOUS_DAMPING,
+    STRIBECK_FRICTION,
+    LOAD_FRICTION,
+    ARMATURE,
+    PAYLOAD,
+    LINK_INERTIA,
+    ACTUATOR_GAIN,
+    ACTUATOR_LAG,
+    TORQUE_LIMIT,
+    VELOCITY_LIMIT,
+    COMMAND_DELAY,
+    JOINT_OFFSET,
+    ENCODER_SCALE,
+    JOINT_STIFFNESS,
+    TORQUE_BIAS,
+    BACKLASH,
+    JOINT_COMPLIANCE,
+    GRAVITY_TILT,
+    CONTROL_RATE,
+    DRIVE_LOSS,
+    CONTACT_FRICTION,
+    CONTACT_STIFFNESS,
+    OBJECT_MASS,
+    SCENE_FRICTION,
+    SCENE_MASS,
+    FIXTURE_FRICTION,
+    CONTROLLER_STIFFNESS,
 )
-EFFECTS: dict[str, Effect] = {module.EFFECT.name: module.EFFECT for module in _MODULES}
+EFFECTS: dict[str, Effect] = {effect.name: effect for effect in _LIBRARY}
 
 
 def register(effect: Effect) -> None:
-    """Add an effect of your own to the library.
+    """Add your own effect to the library.
 
     Raises:
-        RlcoError: If one of that name is known.
+        RlcoError: If its name is taken, or its law cannot be compiled.
     """
     if effect.name in EFFECTS:
         message = f"an effect named {effect.name!r} exists: give yours another name."
         raise RlcoError(message)
+    for law in (effect.friction, effect.torque):
+        if law is not None:
+            address_of_law(law)
     EFFECTS[effect.name] = effect
+
+
+def searched(evidence: Evidence) -> list[Effect]:
+    """Return the effects that a search tries on one kind of recordings.
+
+    Example:
+        >>> [effect.name for effect in searched("flight")]
+        ['gravity_tilt', 'contact_friction', 'contact_stiffness', 'object_mass']
+    """
+    return [e for e in EFFECTS.values() if e.candidate and evidence in e.shown_by]
+
+
+# Effects registered by each user file.
+_LOADED: dict[Path, set[str]] = {}
+
+
+def load_code(path: str | Path | None) -> None:
+    """Run a Python file that registers effects of your own; run each file only once.
+
+    Args:
+        path: The file; None for none.
+
+    Raises:
+        RlcoError: If the file does not exist, or registers no effect.
+    """
+    if path is None:
+        return
+    file = Path(path).resolve()
+    if _LOADED.get(file, {""}) <= EFFECTS.keys():
+        return
+    if not file.is_file():
+        raise RlcoError(
+            f"effects code {str(path)!r} is not a file; give a Python file that "
+            "registers effects."
+        )
+    known = set(EFFECTS)
+    runpy.run_path(str(file))
+    added = EFFECTS.keys() - known
+    if not added:
+        raise RlcoError(
+            f"effects code {str(path)!r} registers no effect; call register(Effect)."
+        )
+    _LOADED[file] = added
 
 
 __all__ = [
@@ -85,6 +144,7 @@ __all__ = [
     "AppliedEffect",
     "Effect",
     "Parameter",
-    "StepTerms",
+    "load_code",
     "register",
+    "searched",
 ]

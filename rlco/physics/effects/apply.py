@@ -1,11 +1,11 @@
-"""Applying effects to a model, to commands, to measurements and to each physics step.
+"""Apply effects to a model, to commands, to measurements and to each physics step.
 
-Several effects act at once, in an order that does not depend on how they are listed.
-A command is read by the controller (`control_rate`), travels (`command_delay`) and
-becomes a joint's goal (`velocity_limit`, `backlash`, `actuator_lag`), which the servo
-compares with what the encoder tells (`joint_offset`, `encoder_scale`). A measurement
-takes the encoder's part of that way back. Changes of a model come in the library's
-order, and effects of a user's own after those of the library.
+Several effects may act at once, in an order that does not depend on how they are
+listed. A command is read by the controller (`control_rate`), travels (`command_delay`)
+and becomes a joint's goal (`velocity_limit`, `backlash`, `actuator_lag`), which the
+servo compares with the encoder's report (`joint_offset`, `encoder_scale`). Each effect
+declares its position on this path. A measurement inverts the encoder's part. Changes of
+a model follow the library's order, with user-defined effects last.
 """
 
 from __future__ import annotations
@@ -17,25 +17,22 @@ import mujoco
 import numpy as np
 
 from rlco.errors import RlcoError, UnknownNameError
-from rlco.physics.effects import EFFECTS, AppliedEffect, Effect, StepTerms
-from rlco.physics.effects.effect import Array
+from rlco.physics.effects import EFFECTS, AppliedEffect, Effect
+from rlco.physics.effects.effect import Array, ControllerTiming, joint_of
+from rlco.physics.effects.step_forces import LawAt, StepForces, table_of
 from rlco.physics.effects.targets import (
+    ONE_AXIS,
     actuator_of,
     dof_of,
     driven_joints,
+    joints,
     moving_bodies,
+    qpos_address,
     servo_joints,
 )
 
-COMMAND_ORDER = (
-    "control_rate",
-    "command_delay",
-    "velocity_limit",
-    "backlash",
-    "actuator_lag",
-    "joint_offset",
-    "encoder_scale",
-)
+# MuJoCo creates a friction constraint only where the friction is above zero.
+_LEAST_FRICTION = 1e-9
 
 
 class EffectError(RlcoError):
@@ -67,36 +64,36 @@ def library_effect(name: str) -> Effect:
 def checked(
     model: mujoco.MjModel, effect: AppliedEffect, *, controlled: bool = False
 ) -> AppliedEffect:
-    """Return an effect with its numbers in the library's order.
+    """Return an effect with its parameters in the library's order.
 
     Args:
         model: The model without the effect.
         effect: Its target is a name in the model.
-        controlled: Whether a simulated controller reads the encoders, so that they
-            may tell wrong positions of joints that motors drive.
+        controlled: Whether a simulated controller reads the encoders, which may then
+            report wrong positions of joints driven by motors.
 
     Raises:
         UnknownNameError: If there is no such effect.
-        EffectError: If the model has no such target, or numbers are missing, unknown
+        EffectError: If the model has no such target, or parameters are missing, unknown
             or not finite.
     """
     known = library_effect(effect.name)
     allowed = known.targets(model)
-    # A payload may hang at any link, not only where a search would look for it.
+    # A payload may be at any link, not only where a search would place it.
     links = moving_bodies(model)
     more = links if set(allowed) & set(links) else ()
     if controlled and known.on_measurement is not None:
         more = driven_joints(model)
     if effect.target not in (*allowed, *more):
-        raise EffectError(effect.name, effect.target, *_why_not(model, effect, allowed))
+        raise EffectError(effect.name, effect.target, *_refusal(model, effect, allowed))
     names = [p.name for p in known.parameters(model, effect.target)]
     if set(names) != set(effect.parameters):
         given = ", ".join(effect.parameters) or "none"
         raise EffectError(
             effect.name,
             effect.target,
-            f"its parameters are {', '.join(names)}, and given were {given}",
-            "give each of them a number",
+            f"its parameters are {', '.join(names)}, given: {given}",
+            "give a number for each of them",
         )
     for name, value in effect.parameters.items():
         if not np.isfinite(value):
@@ -106,17 +103,37 @@ def checked(
     return replace(effect, parameters={n: float(effect.parameters[n]) for n in names})
 
 
+def check_of_task(effect: AppliedEffect) -> None:
+    """Refuse an effect on a task's construction unless it is a positive factor.
+
+    Raises:
+        EffectError: If it has a target, or parameters other than a positive factor.
+    """
+    factor = effect.parameters.get("factor", 0.0)
+    if effect.target is not None:
+        reason, advice = "it acts on the whole scene", "give no target"
+    elif set(effect.parameters) != {"factor"}:
+        given = ", ".join(effect.parameters) or "none"
+        reason = f"its only parameter is factor, given: {given}"
+        advice = "give it a number"
+    elif not (np.isfinite(factor) and factor > 0.0):
+        reason, advice = f"factor is {factor}", "give a number above 0"
+    else:
+        return
+    raise EffectError(effect.name, effect.target, reason, advice)
+
+
 def in_order(effects: Iterable[AppliedEffect]) -> list[AppliedEffect]:
-    """Return effects in the library's order, those of a user's own at the end."""
+    """Return effects in the library's order, with user-defined ones at the end."""
     names = list(EFFECTS)
     return sorted(effects, key=lambda effect: names.index(effect.name))
 
 
 def apply_to_spec(spec: mujoco.MjSpec, effects: Iterable[AppliedEffect]) -> None:
-    """Change a model, before it is compiled, by what MJCF can say of the effects.
+    """Apply the effects that MJCF can express to a model before it is compiled.
 
     Raises:
-        RlcoError: If a target is not there.
+        RlcoError: If a target does not exist.
 
     Example:
         >>> xml = "<mujoco><worldbody><body><joint name='j' damping='2'/>"
@@ -127,22 +144,32 @@ def apply_to_spec(spec: mujoco.MjSpec, effects: Iterable[AppliedEffect]) -> None
         5.0
     """
     for effect in in_order(effects):
-        change = library_effect(effect.name).on_spec
-        if change is not None:
-            change(spec, effect.target, effect.values)
+        known = library_effect(effect.name)
+        if known.on_spec is not None:
+            known.on_spec(spec, effect.target, effect.values)
+        if known.friction is not None:
+            _enable_friction(spec, effect.target)
+
+
+def _enable_friction(spec: mujoco.MjSpec, target: str | None) -> None:
+    """Make MuJoCo create a friction constraint for friction set at each step."""
+    rubbing = spec.joints if target is None else [joint_of(spec, target)]
+    for joint in rubbing:
+        if joint.type in ONE_AXIS:
+            joint.frictionloss = max(joint.frictionloss, _LEAST_FRICTION)
 
 
 def apply_to_commands(
     commands: Array, model: mujoco.MjModel, effects: Iterable[AppliedEffect]
 ) -> Array:
-    """Return commands as the actuators get them.
+    """Return commands as the actuators receive them.
 
     Args:
-        commands: What was sent, one row a physics step, (steps, actuators).
+        commands: Commands as sent, one row per physics step, (steps, actuators).
         model: The model that they drive.
-        effects: Those that act.
+        effects: The effects.
     """
-    for effect in sorted(in_order(effects), key=_place):
+    for effect in _in_path_order(effects):
         change = library_effect(effect.name).on_command
         if change is None:
             continue
@@ -154,61 +181,89 @@ def apply_to_commands(
 def apply_to_measurement(
     positions: Array, joints: Sequence[str], effects: Iterable[AppliedEffect]
 ) -> Array:
-    """Return joint positions as the encoders tell them.
+    """Return joint positions as the encoders report them.
 
     Args:
         positions: True positions, (..., joints), [rad or m].
         joints: Names of the columns.
-        effects: Those that act; what is told of other joints is left out.
+        effects: The effects; those at other joints are ignored.
 
     Example:
         >>> scale = AppliedEffect("encoder_scale", "j", {"factor": 1.1})
         >>> shift = AppliedEffect("joint_offset", "j", {"offset": 0.5})
-        >>> told = apply_to_measurement(np.array([2.0]), ["j"], [shift, scale])
-        >>> told.round(6).tolist(), true_from_told(told, ["j"], [scale, shift]).tolist()
+        >>> read = apply_to_measurement(np.array([2.0]), ["j"], [shift, scale])
+        >>> read.round(6).tolist(), true_positions(read, ["j"], [scale, shift]).tolist()
         ([2.7], [2.0])
     """
-    for effect in sorted(in_order(effects), key=_place)[::-1]:
+    for effect in _in_path_order(effects)[::-1]:
         change = library_effect(effect.name).on_measurement
         if change is not None and effect.target in joints:
             positions = change(positions, joints.index(effect.target), effect.values)
     return positions
 
 
-def true_from_told(
+def true_positions(
     positions: Array, joints: Sequence[str], effects: Iterable[AppliedEffect]
 ) -> Array:
     """Return the true joint positions: the inverse of `apply_to_measurement`."""
-    for effect in sorted(in_order(effects), key=_place):
+    for effect in _in_path_order(effects):
         change = library_effect(effect.name).on_start
         if change is not None and effect.target in joints:
             positions = change(positions, joints.index(effect.target), effect.values)
     return positions
 
 
-def step_terms(model: mujoco.MjModel, effects: Iterable[AppliedEffect]) -> StepTerms:
-    """Return what acts at each physics step of a model."""
-    terms = StepTerms.none(model)
+def step_forces(model: mujoco.MjModel, effects: Iterable[AppliedEffect]) -> StepForces:
+    """Return the forces that act at each physics step of a model.
+
+    Raises:
+        RlcoError: If a user-defined law cannot be compiled.
+    """
+    friction: list[LawAt] = []
+    torque: list[LawAt] = []
     for effect in in_order(effects):
-        write = library_effect(effect.name).on_step
+        known = library_effect(effect.name)
+        names = joints(model) if effect.target is None else (effect.target,)
+        for law, found in ((known.friction, friction), (known.torque, torque)):
+            if law is not None:
+                found += [
+                    LawAt(
+                        law,
+                        dof_of(model, name),
+                        qpos_address(model, name),
+                        effect.values,
+                    )
+                    for name in names
+                ]
+    return StepForces(table_of(friction), table_of(torque))
+
+
+def controller_timing(
+    model: mujoco.MjModel, effects: Iterable[AppliedEffect]
+) -> ControllerTiming:
+    """Return the timing of commands under a controller of tool motions."""
+    timing = ControllerTiming(delay=0.0, period=0.0, lag=np.ones(model.nu))
+    for effect in _in_path_order(effects):
+        write = library_effect(effect.name).on_controller
         if write is not None:
-            joint = str(effect.target)
-            write(terms, dof_of(model, joint), actuator_of(model, joint), effect.values)
-    return terms
+            actuator = actuator_of(model, effect.target) if effect.target else -1
+            write(timing, actuator, float(model.opt.timestep), effect.values)
+    return timing
 
 
-def _place(effect: AppliedEffect) -> int:
-    if effect.name in COMMAND_ORDER:
-        return COMMAND_ORDER.index(effect.name)
-    return len(COMMAND_ORDER)
+def _in_path_order(effects: Iterable[AppliedEffect]) -> list[AppliedEffect]:
+    """Return effects in the order in which a command passes them."""
+    return sorted(in_order(effects), key=lambda e: library_effect(e.name).order)
 
 
-def _why_not(
+def _refusal(
     model: mujoco.MjModel, effect: AppliedEffect, allowed: tuple[str | None, ...]
 ) -> tuple[str, str]:
     """Return why a target is not allowed, and what to do."""
     if allowed == (None,):
         return "it acts on the whole robot", "give no target"
+    if library_effect(effect.name).of_task:
+        return "only rlco's own tasks read it, while they are built", "leave it out"
     servos = set(allowed) == set(servo_joints(model))
     if servos and effect.target in driven_joints(model):
         return (

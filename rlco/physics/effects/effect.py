@@ -1,9 +1,10 @@
-"""What an effect is: a name, its parameters, and how it changes a simulated robot."""
+"""Declaration of an effect: its name, its parameters, and what it changes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import mujoco
 import numpy as np
@@ -12,24 +13,54 @@ from numpy.typing import NDArray
 from rlco.errors import RlcoError, UnknownNameError
 
 Array = NDArray[np.float64]
+# A force at a joint, as a function that numba compiles: ``law(position, velocity,
+# torque, carried, values)``. `position` [rad or m] and `velocity` are the joint's,
+# `torque` is that of its actuators, and `carried` the magnitude of the torque between
+# motor and load, ``|torque + load|`` [N m].
+Law = Callable[[float, float, float, float, Sequence[float]], float]
+#: What an effect may change: the model before it is compiled, commands of any kind, the
+#: goals of single joints, encoder reports, forces at each step.
+Site = Literal["model", "command", "goal", "reading", "step"]
+#: Kinds of recordings: joint positions under commands, joint torques, a single servo on
+#: a bench, the tool and the objects of a task, a body in flight.
+Evidence = Literal["positions", "torques", "servo", "task", "flight"]
+COMMON: tuple[Evidence, ...] = ("positions", "torques", "servo", "task")
+LAST = 100  # position on the path of a command, where an effect names no other
+
+
+@dataclass(frozen=True)
+class Present:
+    """What a model has already of what a parameter changes.
+
+    Attributes:
+        value: How much: a parameter is added to it, or, where it is a ratio, times it.
+        multiplied: What a ratio multiplies, such as ``mass``; ``""``: it is no ratio.
+        unit: The unit of that.
+    """
+
+    value: float
+    multiplied: str = ""
+    unit: str = ""
 
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of an effect.
+    """One parameter of an effect.
 
     Attributes:
-        name: What it is called in reports and files.
+        name: Its name in reports and files.
         unit: Its unit; ``""`` for a ratio.
         low: Smallest value that is searched.
         high: Largest value that is searched.
-        neutral: The value at which the effect does nothing.
-        starts: Values that a search starts from, of typical sizes: where a small
-            change shows nothing (a limit that is never reached), one start misses it.
-        scales: Whether half the way from `neutral` has about half the effect. Limits
-            and periods do not scale: nothing happens until something reaches them.
-        resolution: A change at which the effect jumps instead of growing; values a few
-            of them away are tried beside gradient steps. 0 where it grows smoothly.
+        neutral: The value without effect.
+        starts: Initial values of a search, of typical sizes. Where a small change has
+            no effect (a limit that is never reached), one start is not enough.
+        scales: Whether half the distance from `neutral` has about half the effect.
+            Limits and periods do not scale: they have no effect until reached.
+        resolution: Change at which the effect is discontinuous; values a few of these
+            away are tried besides gradient steps. 0 where it is smooth.
+        present: What the model has of it already, for reports to say before and after;
+            None where that is nothing, or not one number.
     """
 
     name: str
@@ -40,63 +71,85 @@ class Parameter:
     starts: tuple[float, ...]
     scales: bool = True
     resolution: float = 0.0
+    present: Present | None = None
+
+    def after(self, value: float) -> float:
+        """Return what the model has with a value of it; that, where nothing is present.
+
+        Example:
+            >>> Parameter("damping", "N m s/rad", 0, 99, 0, (), present=Present(12.0)
+            ...     ).after(24.0)
+            36.0
+            >>> Parameter("factor", "", 0, 9, 1, (), present=Present(0.4, "mass", "kg")
+            ...     ).after(1.5)  # doctest: +ELLIPSIS
+            0.6...
+        """
+        if self.present is None:
+            return value
+        if self.present.multiplied:
+            return self.present.value * value
+        # What a value replaces, such as a limit, is neutral at what the model has.
+        return self.present.value + value - self.neutral
 
 
 @dataclass
-class StepTerms:
-    """What acts at each physics step and MJCF cannot say; zero means absent.
+class ControllerTiming:
+    """Timing of commands under a controller of tool motions; nu actuators.
 
     Attributes:
-        static: Friction beyond Coulomb's at rest, a degree of freedom, (nv,) [N m].
-        stribeck_speed: Speed at which it has fallen to 1/e, (nv,) [rad/s].
-        load: Friction for each unit of transmitted torque, (nv,).
-        drive: Torque lost at the actuator, as a part of its torque for each unit of
-            torque, (nu,) [1/(N m)].
+        delay: Seconds between a command and its execution.
+        period: Seconds between two reads of commands; 0: immediately.
+        lag: Fraction of the distance to its command that an actuator moves in a step,
+            (nu,).
     """
 
-    static: Array
-    stribeck_speed: Array
-    load: Array
-    drive: Array
-
-    @classmethod
-    def none(cls, model: mujoco.MjModel) -> StepTerms:
-        """Return the terms of a model that has none of these effects."""
-        dofs, actuators = np.zeros((3, model.nv)), np.zeros(model.nu)
-        return cls(dofs[0], dofs[1] + 1.0, dofs[2], actuators)
-
-    @property
-    def act(self) -> bool:
-        """Whether any of them is not zero."""
-        return bool(self.static.any() or self.load.any() or self.drive.any())
+    delay: float
+    period: float
+    lag: Array
 
 
 @dataclass(frozen=True)
 class Effect:
     """A physical effect that a simulator may lack, or have with another size.
 
-    An effect changes one or more of: the model before it is compiled (`on_spec`), the
-    commands on their way to the actuators (`on_command`), what the encoder says
-    (`on_measurement`, with `on_start` as its inverse for initial positions), and what
-    acts at each physics step (`on_step`). `values` are in the order of `parameters`.
+    It is declared here once, and acts wherever a robot is simulated. `values` are
+    always in the order of `parameters`. Attributes that do not apply are omitted.
 
     Attributes:
-        name: One of the fixed names, or a user's own.
-        summary: What it is, in one sentence.
-        signature: What it leaves in measured minus simulated positions.
-        confused_with: Effects that slow or poor recordings cannot tell it from.
-        targets: ``targets(model)``: what it may act on: names of joints (their
-            actuators bear the joint's name), bodies or geoms, or ``(None,)`` where it
-            acts on the whole robot.
+        name: A name of the library, or a user's own.
+        summary: Description in one sentence.
+        signature: Its trace in measured minus simulated positions.
+        confused_with: Effects that slow or poor recordings cannot distinguish from it.
+        targets: ``targets(model)`` returns the possible targets: names of joints (also
+            for their actuators), bodies or geoms, or ``(None,)`` if it acts on the
+            whole robot.
         parameters: ``parameters(model, target)``.
-        on_spec: ``on_spec(spec, target, values)`` changes an `MjSpec`.
+        on_spec: ``on_spec(spec, target, values)`` changes an `MjSpec` before it is
+            compiled.
         on_command: ``on_command(commands, column, timestep, values)`` returns the
-            commands [steps, actuators] as the actuators get them; `column` is the
+            commands [steps, actuators] as the actuators receive them; `column` is the
             target's actuator, or None for all.
+        on_controller: ``on_controller(timing, actuator, timestep, values)`` enters the
+            equivalent of `on_command` into `ControllerTiming`, for commands that are
+            tool motions. Without it, the effect needs joints that are commanded by
+            position.
         on_measurement: ``on_measurement(positions, column, values)`` returns the
-            positions [..., joints] as the encoder tells them.
-        on_start: ``on_start(positions, column, values)``: true from told positions.
-        on_step: ``on_step(terms, dof, actuator, values)`` writes into `StepTerms`.
+            positions [..., joints] as the encoder reports them.
+        on_start: ``on_start(positions, column, values)``: its inverse, for initial
+            positions.
+        friction: A `Law` of the friction that it adds to a joint, 0 or more [N m].
+        torque: A `Law` of the torque that it adds to a joint [N m].
+        of_task: Whether rlco's tasks read it while they are built, instead of all of
+            the above; see `rlco.physics.effects.scene`.
+        order: Its position on the path of a command, from the sender on. A measurement
+            inverts the encoder's part of that path.
+        shown_by: The kinds of recordings that can reveal it.
+        at_fixtures: Whether the joint of a drawer or a door may have it.
+        held: Whether it is a body in the hand.
+        tolerances: Kinds of the model's own parameters (``damping``, ``mass``; see
+            `rlco.gap.compare.model_tolerance`) that it changes at its target.
+        by_hand: What to record where no motion of the arm would reveal it, a sentence.
+        candidate: Whether a search tries it; otherwise it acts only where it is given.
     """
 
     name: str
@@ -107,14 +160,38 @@ class Effect:
     parameters: Callable[[mujoco.MjModel, str | None], tuple[Parameter, ...]]
     on_spec: Callable[[mujoco.MjSpec, str | None, Array], None] | None = None
     on_command: Callable[[Array, int | None, float, Array], Array] | None = None
+    on_controller: Callable[[ControllerTiming, int, float, Array], None] | None = None
     on_measurement: Callable[[Array, int, Array], Array] | None = None
     on_start: Callable[[Array, int, Array], Array] | None = None
-    on_step: Callable[[StepTerms, int, int, Array], None] | None = None
+    friction: Law | None = None
+    torque: Law | None = None
+    of_task: bool = False
+    order: int = LAST
+    shown_by: tuple[Evidence, ...] = COMMON
+    at_fixtures: bool = False
+    held: bool = False
+    tolerances: tuple[str, ...] = ()
+    by_hand: str | None = None
+    candidate: bool = True
+
+    @property
+    def acts_on(self) -> frozenset[Site]:
+        """What it changes, inferred from its functions."""
+        encoder = self.on_measurement is not None
+        command = self.on_command is not None and not encoder
+        sites: dict[Site, bool] = {
+            "model": self.on_spec is not None,
+            "command": command and self.on_controller is not None,
+            "goal": command and self.on_controller is None,
+            "reading": encoder,
+            "step": self.friction is not None or self.torque is not None,
+        }
+        return frozenset(site for site, found in sites.items() if found)
 
 
 @dataclass(frozen=True)
 class AppliedEffect:
-    """An effect with a target and numbers: data, as in ``effects.yaml``.
+    """An effect with a target and parameter values: data, as in ``effects.yaml``.
 
     Example:
         >>> AppliedEffect("viscous_damping", "joint4", {"damping": 8.0}).values
@@ -127,15 +204,15 @@ class AppliedEffect:
 
     @property
     def values(self) -> Array:
-        """The numbers in their order, (parameters,)."""
+        """The parameter values in their order, (parameters,)."""
         return np.array(list(self.parameters.values()), dtype=float)
 
 
 def require(found: bool, kind: str, target: str | None, known: list[str]) -> None:
-    """Raise unless a target exists.
+    """Check that a target exists.
 
     Raises:
-        UnknownNameError: Where it does not.
+        UnknownNameError: If it does not.
     """
     if not found:
         raise UnknownNameError(kind, str(target), known)
@@ -147,9 +224,10 @@ def joint_of(spec: mujoco.MjSpec, target: str | None) -> mujoco.MjsJoint:
     Raises:
         UnknownNameError: If there is none of that name.
     """
-    joint = spec.joint(target) if target else None
-    require(joint is not None, "joint", target, [j.name for j in spec.joints])
-    return joint
+    # `spec.joint` is wrong in a copy of a compiled spec with added elements.
+    joints = {joint.name: joint for joint in spec.joints}
+    require(target in joints, "joint", target, [*joints])
+    return joints[target]
 
 
 def actuators_of(spec: mujoco.MjSpec, target: str | None) -> list[mujoco.MjsActuator]:
@@ -162,7 +240,7 @@ def actuators_of(spec: mujoco.MjSpec, target: str | None) -> list[mujoco.MjsActu
     found = [a for a in spec.actuators if a.target == target]
     if not found:
         message = f"no actuator drives joint {target!r}: "
-        raise RlcoError(message + "give a joint that one drives.")
+        raise RlcoError(message + "give a joint that an actuator drives.")
     return found
 
 
@@ -172,6 +250,6 @@ def body_of(spec: mujoco.MjSpec, target: str | None) -> mujoco.MjsBody:
     Raises:
         UnknownNameError: If there is none of that name.
     """
-    body = spec.body(target) if target else None
-    require(body is not None, "body", target, [b.name for b in spec.bodies])
-    return body
+    bodies = {body.name: body for body in spec.bodies}  # as for joints
+    require(target in bodies, "body", target, [*bodies])
+    return bodies[target]

@@ -1,38 +1,55 @@
-"""``effects.yaml``: what a simulator lacks, as a file that people can read and edit."""
+"""``effects.yaml``: what a simulator lacks, as a file that people can read and edit.
+
+It is also a domain file, see `rlco.physics.spec.domain.read_domain`. A file with
+sensors has version 2, all others version 1.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from rlco.errors import DataError
+from rlco.errors import DataError, suggest
 from rlco.physics.effects.apply import library_effect
 from rlco.physics.effects.effect import AppliedEffect
 
 VERSION = 1
+WITH_SENSORS = 2  # the version of files with sensors
+_TOP = ("version", "effects", "names", "sensors")
 _KEYS = {"name", "target", "parameters", "units"}
 _HEAD = """\
-# Effects to add to a simulator: make_env(task, effects="effects.yaml").
+# What a simulator lacks: make_env(task, domain="effects.yaml") has it.
 # names: from a target to its name in a model that calls it otherwise.
 """
 
 
 @dataclass(frozen=True)
 class EffectsFile:
-    """What an ``effects.yaml`` holds.
+    """The contents of an ``effects.yaml``.
 
     Attributes:
         effects: The effects.
-        names: From a target's name to the name in another model, where the two differ
+        names: From a target's name to its name in another model, where the two differ
             by more than robosuite's prefixes.
+        sensors: The file's entry on sensors, unchanged; None: no entry.
     """
 
     effects: tuple[AppliedEffect, ...]
     names: Mapping[str, str] = field(default_factory=dict)
+    sensors: Mapping[str, Any] | None = None
+
+    def renamed(self) -> tuple[AppliedEffect, ...]:
+        """Return the effects with targets renamed by `names`."""
+        return tuple(
+            effect
+            if effect.target is None
+            else replace(effect, target=self.names.get(effect.target, effect.target))
+            for effect in self.effects
+        )
 
 
 def write_effects(
@@ -41,6 +58,7 @@ def write_effects(
     *,
     names: Mapping[str, str] | None = None,
     units: Mapping[str, Mapping[str, str]] | None = None,
+    sensors: Mapping[str, Any] | None = None,
 ) -> None:
     """Write effects.
 
@@ -48,7 +66,8 @@ def write_effects(
         path: The file.
         effects: The effects.
         names: See `EffectsFile`.
-        units: By effect and parameter, for whoever reads the file.
+        units: By effect and parameter, for readers of the file.
+        sensors: Entry on sensors; None: no entry.
 
     Example:
         >>> import tempfile
@@ -65,16 +84,19 @@ def write_effects(
         if found:
             row["units"] = dict(found)
         rows.append(row)
-    content = {"version": VERSION, "effects": rows, "names": dict(names or {})}
+    version = VERSION if sensors is None else WITH_SENSORS
+    content = {"version": version, "effects": rows, "names": dict(names or {})}
+    if sensors is not None:
+        content["sensors"] = dict(sensors)
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
     Path(path).write_text(_HEAD + text, "utf-8")
 
 
 def read_effects(path: str | Path) -> EffectsFile:
-    """Read effects; whether they fit a model shows when they are applied.
+    """Read effects; their fit to a model is checked when they are applied.
 
     Raises:
-        DataError: If the file is missing, is no YAML, or has another form.
+        DataError: If the file is missing, is not YAML, or has another form.
         UnknownNameError: If an effect is not in the library.
     """
     path = Path(path)
@@ -91,11 +113,18 @@ def read_effects(path: str | Path) -> EffectsFile:
             f"effects file {str(path)!r} has no list named 'effects'; write one with "
             "name, target and parameters of each."
         )
-    if content.get("version", VERSION) != VERSION:
+    if content.get("version", VERSION) not in (VERSION, WITH_SENSORS):
         raise DataError(
-            f"effects file {str(path)!r} has version {content['version']!r}; version "
-            f"{VERSION} is read, so let the gap workflow write it again."
+            f"effects file {str(path)!r} has version {content['version']!r}; versions "
+            f"{VERSION} and {WITH_SENSORS} are read, so let the gap workflow write it "
+            "again."
         )
+    for key in content:
+        if key not in _TOP:
+            raise DataError(
+                f"effects file {str(path)!r} has an unknown entry {key!r}"
+                f"{suggest(str(key), _TOP)}; known: {', '.join(_TOP)}."
+            )
     names = content.get("names") or {}
     if not _is_text_map(names):
         raise DataError(
@@ -103,7 +132,13 @@ def read_effects(path: str | Path) -> EffectsFile:
             "to names."
         )
     rows = tuple(_effect(path, i, row) for i, row in enumerate(content["effects"], 1))
-    return EffectsFile(rows, names)
+    sensors = content.get("sensors")
+    if sensors is not None and not isinstance(sensors, dict):
+        raise DataError(
+            f"sensors of effects file {str(path)!r} are {sensors!r}; give a map from "
+            "names to numbers."
+        )
+    return EffectsFile(rows, names, sensors)
 
 
 def _effect(path: Path, number: int, row: Any) -> AppliedEffect:

@@ -1,8 +1,7 @@
-"""Names of joints and bodies in a model that prefixes them, as robosuite does.
+"""Names of joints and bodies in a model with prefixes, as in robosuite.
 
-What a log calls ``joint4`` is ``robot0_joint4`` in robosuite's model, its
-``right_gripper`` is ``gripper0_right_right_gripper``, its ``red_cube`` is
-``red_cube_main``.
+A log's ``joint4`` is ``robot0_joint4`` in robosuite's model, ``right_gripper`` is
+``gripper0_right_right_gripper``, and ``red_cube`` is ``red_cube_main``.
 """
 
 from __future__ import annotations
@@ -21,7 +20,7 @@ _SUFFIX = re.compile(r"_main$")
 
 
 def plain_name(name: str) -> str:
-    """Return a name without what robosuite adds.
+    """Return a name without robosuite's prefixes and suffixes.
 
     Example:
         >>> plain_name("robot0_joint4"), plain_name("red_cube_main")
@@ -41,11 +40,11 @@ def in_model(
         effects: Their targets are names in the model, or names without robosuite's
             prefixes.
         model: The model.
-        names: From a target to its name in the model, where that is another one.
+        names: From a target to its name in the model, where it differs.
 
     Raises:
-        UnknownNameError: If a target is none of the model's joints and bodies, or
-            could be several of them.
+        UnknownNameError: If a target matches none of the model's joints and bodies, or
+            several of them.
     """
     known = [model.joint(i).name for i in range(model.njnt)]
     known += [model.body(i).name for i in range(1, model.nbody)]

@@ -1,4 +1,4 @@
-"""What of a compiled model an effect may act on."""
+"""Possible targets of effects in a compiled model."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def actuated_joint(model: mujoco.MjModel, actuator: int) -> str | None:
 
 
 def actuator_of(model: mujoco.MjModel, joint: str) -> int:
-    """Return the number of the actuator that drives a joint, -1 if none does."""
+    """Return the index of the actuator that drives a joint, -1 if none does."""
     for actuator in range(model.nu):
         if actuated_joint(model, actuator) == joint:
             return actuator
@@ -51,7 +51,7 @@ def actuator_of(model: mujoco.MjModel, joint: str) -> int:
 
 
 def moving_bodies(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the bodies with mass whose motion some hinge or slide decides."""
+    """Return the bodies with mass that a hinge or slide moves."""
     return tuple(
         model.body(i).name
         for i in range(1, model.nbody)
@@ -60,7 +60,7 @@ def moving_bodies(model: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def last_links(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return where a payload can be held: the last body of each chain."""
+    """Return the links that can hold a payload: the last body of each chain."""
     parents = set(model.body_parentid[1:].tolist())
     return tuple(
         model.body(i).name
@@ -70,7 +70,7 @@ def last_links(model: mujoco.MjModel) -> tuple[str, ...]:
 
 
 def free_bodies(model: mujoco.MjModel) -> tuple[str, ...]:
-    """Return the bodies that a free joint lets fly."""
+    """Return the bodies with a free joint."""
     return tuple(
         model.body(model.jnt_bodyid[i]).name
         for i in range(model.njnt)
@@ -83,8 +83,13 @@ def dof_of(model: mujoco.MjModel, joint: str) -> int:
     return int(model.jnt_dofadr[model.joint(joint).id])
 
 
+def qpos_address(model: mujoco.MjModel, joint: str) -> int:
+    """Return the address of a joint's (first) coordinate in ``qpos``."""
+    return int(model.jnt_qposadr[model.joint(joint).id])
+
+
 def holding_torque(model: mujoco.MjModel, joint: str) -> float:
-    """Return a typical torque of a joint: what holds its links level against gravity.
+    """Return a typical torque of a joint: the one that holds its links horizontal.
 
     Never below a hundredth of a newton metre (or newton, for a slide).
     """

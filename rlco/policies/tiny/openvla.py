@@ -10,10 +10,10 @@ from typing import Any
 import torch
 from safetensors.torch import save_file
 
-from rlco.policies.openvla_config import read_config
-from rlco.policies.openvla_model import OpenVLA
-from rlco.policies.openvla_names import to_published, vision_table
 from rlco.policies.tiny.tokenizer import write_tokenizer
+from rlco.policies.vla.openvla.config import read_config
+from rlco.policies.vla.openvla.model import OpenVLA
+from rlco.policies.vla.openvla.weight_names import to_published, vision_table
 
 _CONFIG: dict[str, Any] = {
     "model_type": "openvla",
@@ -62,7 +62,7 @@ def write_tiny_openvla(
 
     Args:
         folder: where to; made where it does not exist.
-        action_size: action numbers A of its statistics.
+        action_size: action dimensions A of its statistics.
         seed: draws the weights.
 
     Returns:

@@ -31,8 +31,8 @@ def write_tiny_pi05(
 
     Args:
         folder: where to; made where it does not exist.
-        action_size: action numbers A.
-        state_size: numbers in the state.
+        action_size: action dimensions A.
+        state_size: dimension of the state.
         camera: LeRobot's name of the camera.
         image_size: pixels along each side of its frames.
         stats: statistics for the processors; by default normalisation does nothing.

@@ -63,8 +63,8 @@ def write_tiny_smolvla(
 
     Args:
         folder: where to; made where it does not exist.
-        action_size: action numbers A.
-        state_size: numbers in the state.
+        action_size: action dimensions A.
+        state_size: dimension of the state.
         chunk: predicted steps H of a chunk.
         executed: steps of it that are executed.
         camera: LeRobot's name of the camera.

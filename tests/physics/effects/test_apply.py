@@ -11,17 +11,19 @@ import numpy as np
 import pytest
 
 from rlco.errors import RlcoError, UnknownNameError
-from rlco.physics.effects import EFFECTS, AppliedEffect, register
+from rlco.physics.effects import EFFECTS, AppliedEffect, register, searched
 from rlco.physics.effects.apply import (
     EffectError,
     apply_to_commands,
     apply_to_measurement,
     apply_to_spec,
     checked,
-    step_terms,
-    true_from_told,
+    library_effect,
+    step_forces,
+    true_positions,
 )
 from rlco.physics.effects.names import in_model, plain_name
+from rlco.physics.effects.step_forces import law_value
 
 # Two servos in a row, and a motor at the wrist.
 ARM = """
@@ -111,7 +113,7 @@ def test_a_measurement_takes_the_encoders_way_back(own_effect: str) -> None:
         told = apply_to_measurement(true, JOINTS, listed)
         # What a servo is told to reach is what it says when it is there.
         np.testing.assert_allclose(told, [[1.0, -3.0 * 2.0 + 0.5, 5.0]])
-        np.testing.assert_allclose(true_from_told(told, JOINTS, listed), true)
+        np.testing.assert_allclose(true_positions(told, JOINTS, listed), true)
         servo = apply_to_commands(told, model(), listed)
         np.testing.assert_allclose(servo[:, 1], true[:, 1])
 
@@ -127,8 +129,10 @@ def test_a_spec_is_changed_alike_however_effects_are_listed() -> None:
     for listed in permutations(effects):
         spec = mujoco.MjSpec.from_string(ARM)
         apply_to_spec(spec, listed)
-        mended = spec.compile()
-        found.append([mended.dof_damping, mended.dof_armature, mended.actuator_biasprm])
+        corrected = spec.compile()
+        found.append(
+            [corrected.dof_damping, corrected.dof_armature, corrected.actuator_biasprm]
+        )
     for other in found[1:]:
         for one, same in zip(found[0], other, strict=True):
             np.testing.assert_array_equal(one, same)
@@ -136,18 +140,75 @@ def test_a_spec_is_changed_alike_however_effects_are_listed() -> None:
     np.testing.assert_allclose(found[0][2][1, :2], [1.0, -40.0])
 
 
-def test_terms_of_each_step_are_those_of_their_joints() -> None:
-    terms = step_terms(
+def test_targets_are_found_beside_a_body_that_another_effect_added() -> None:
+    """MuJoCo's own look-up counts wrong in a copy of a spec that was compiled."""
+    spec = mujoco.MjSpec.from_string(ARM)
+    plain = spec.compile()
+    changed = spec.copy()
+    held = effect("payload", "robot0_upper", mass=0.5, x=0.0, y=0.0, z=0.1)
+    heavy = effect("link_inertia", "gripper0_right_wrist", factor=3.0)
+    play = effect("joint_compliance", "robot0_shoulder", compliance=0.01)
+    rough = effect("coulomb_friction", "gripper0_right_elbow_wrist", frictionloss=2.0)
+    apply_to_spec(changed, [held, heavy])
+    wrist = changed.compile().body("gripper0_right_wrist")
+    assert wrist.mass == pytest.approx(3.0 * plain.body(wrist.name).mass)
+    changed = spec.copy()
+    apply_to_spec(changed, [play])
+    apply_to_spec(changed, [rough])
+    loss = changed.compile().joint("gripper0_right_elbow_wrist").frictionloss
+    assert loss == pytest.approx(2.0)
+
+
+def test_forces_of_each_step_are_those_of_their_joints() -> None:
+    forces = step_forces(
         model(),
         [
-            effect("load_friction", "gripper0_right_elbow_wrist", ratio=0.2),
             effect("drive_loss", "robot0_elbow", loss=0.5),
+            effect("load_friction", "gripper0_right_elbow_wrist", ratio=0.2),
+            effect("stribeck_friction", "robot0_elbow", static=2.0, speed=0.1),
             effect("viscous_damping", "robot0_shoulder", damping=1.0),
         ],
     )
-    np.testing.assert_array_equal(terms.load, [0.0, 0.0, 0.2])
-    np.testing.assert_array_equal(terms.drive, [0.0, 0.5, 0.0])
-    assert not terms.static.any()
+    # In the library's order; Stribeck's friction has two numbers.
+    np.testing.assert_array_equal(forces.friction.rows[:, 1:], [[1, 1], [2, 2]])
+    np.testing.assert_array_equal(forces.friction.values, [[2.0, 0.1], [0.2, 0.0]])
+    np.testing.assert_array_equal(forces.torque.rows[:, 1:], [[1, 1]])
+    np.testing.assert_array_equal(forces.torque.values, [[0.5]])
+
+
+def test_laws_by_hand() -> None:
+    """A joint at 0.5 rad/s whose motor gives 4 N m, with 6 N m in its gear."""
+    forces = step_forces(
+        model(),
+        [
+            effect("drive_loss", "robot0_elbow", loss=0.5),
+            effect("load_friction", "robot0_elbow", ratio=0.2),
+            effect("stribeck_friction", "robot0_elbow", static=2.0, speed=0.5),
+        ],
+    )
+    now = 0.1, 0.5, 4.0, 6.0
+    assert law_value(forces.friction, 0, *now) == pytest.approx(2.0 * np.exp(-1.0))
+    assert law_value(forces.friction, 1, *now) == pytest.approx(1.2)
+    # 4 / (1 + 0.5 * 4) are left of 4.
+    assert law_value(forces.torque, 0, *now) == pytest.approx(4.0 / 3.0 - 4.0)
+
+
+def test_an_effect_that_only_a_domain_needs_is_not_searched() -> None:
+    register(replace(EFFECTS["torque_bias"], name="stiff_fixture", candidate=False))
+    try:
+        assert library_effect("stiff_fixture")
+        assert "stiff_fixture" not in [e.name for e in searched("positions")]
+    finally:
+        del EFFECTS["stiff_fixture"]
+
+
+def test_what_an_effect_acts_on_follows_from_what_it_declares() -> None:
+    found = {name: set(known.acts_on) for name, known in EFFECTS.items()}
+    assert found["viscous_damping"] == {"model"}
+    assert found["command_delay"] == {"command"}
+    assert found["backlash"] == {"goal"}
+    assert found["joint_offset"] == {"reading"}
+    assert found["drive_loss"] == {"step"}
 
 
 def test_numbers_come_in_the_librarys_order() -> None:
@@ -159,7 +220,7 @@ def test_numbers_come_in_the_librarys_order() -> None:
     ("wrong", "message"),
     [
         (effect("damping", "robot0_elbow", damping=1.0), "unknown effect 'damping'"),
-        (effect("armature", "robot0_elbow"), "armature, and given were none; give"),
+        (effect("armature", "robot0_elbow"), "armature, given: none; give"),
         (effect("armature", "robot0_elbow", armature=np.inf), "armature is inf"),
         (effect("armature", "knee", armature=1.0), "can act on robot0_shoulder, rob"),
         (effect("gravity_tilt", "robot0_elbow", roll=0, pitch=0), "the whole robot"),

@@ -7,8 +7,10 @@ import numpy as np
 import pytest
 
 from rlco.errors import RlcoError, UnknownNameError
-from rlco.physics.effects import EFFECTS, Effect, StepTerms, register
+from rlco.physics.effects import EFFECTS, AppliedEffect, Effect, register
+from rlco.physics.effects.apply import apply_to_spec, step_forces
 from rlco.physics.effects.effect import Array
+from rlco.physics.effects.step_forces import law_along
 
 # Reports and files of others spell them so: they must not change.
 _NAMES = {
@@ -48,7 +50,9 @@ def _changed(name: str, target: str | None, *values: float) -> mujoco.MjModel:
 
 
 def test_the_names_are_those_that_reports_use() -> None:
-    assert set(EFFECTS) == _NAMES
+    assert {effect.name for effect in EFFECTS.values() if effect.candidate} == _NAMES
+    of_tasks = {"scene_friction", "scene_mass", "fixture_friction"}
+    assert set(EFFECTS) == _NAMES | of_tasks | {"controller_stiffness"}
 
 
 @pytest.mark.parametrize("name", sorted(_NAMES))
@@ -56,17 +60,19 @@ def test_the_neutral_size_changes_neither_motion_nor_commands(name: str) -> None
     effect, nominal = EFFECTS[name], _spec().compile()
     (target, *_) = effect.targets(nominal)
     values = _values(effect, nominal, target)
+    names = [p.name for p in effect.parameters(nominal, target)]
+    applied = AppliedEffect(name, target, dict(zip(names, values, strict=True)))
     spec = _spec()
-    if effect.on_spec is not None:
-        effect.on_spec(spec, target, values)
-    model, terms = spec.compile(), StepTerms.none(nominal)
+    apply_to_spec(spec, [applied])
+    model = spec.compile()
     commands = np.sin(np.arange(600.0) / 40)[:, None]
     sent = commands
     if effect.on_command is not None:
         sent = effect.on_command(commands, 0, 0.002, values)
-    if effect.on_step is not None:
-        effect.on_step(terms, 0, 0, values)
-    assert not terms.act
+    moving = np.array([0.3, -0.1]), np.array([0.5, -0.2]), np.ones(2), np.ones(2)
+    for laws in step_forces(model, [applied]):
+        for row in range(len(laws.rows)):
+            assert not law_along(laws, row, *moving).any()
     # Commands of three units a second are below any limit of a servo's speed.
     np.testing.assert_allclose(sent, commands, atol=1e-15)
     ends = []
@@ -86,6 +92,19 @@ def test_starts_lie_within_the_bounds_and_away_from_neutral(name: str) -> None:
         first = EFFECTS[name].parameters(model, target)[0]
         assert all(first.low <= start <= first.high for start in first.starts)
         assert all(start != first.neutral for start in first.starts)
+
+
+def test_a_payload_may_lie_beyond_the_end_of_a_long_link() -> None:
+    # A rod: inertia m l^2 / 12 about its middle; it ends where its length says.
+    spec = mujoco.MjSpec.from_string("""<mujoco><worldbody><body name="rod">
+    <joint axis="0 1 0"/><inertial pos="0.3 0 0" mass="2" diaginertia="1e-4 .06 .06"/>
+    </body></worldbody></mujoco>""")
+    mass, x, *_ = EFFECTS["payload"].parameters(spec.compile(), "rod")
+    assert mass.low == 0.0
+    assert (x.low, x.high) == pytest.approx((-0.7, 0.7))  # 0.6 m, and 10 cm more
+    spec.body("rod").inertia, spec.body("rod").ipos = [1e-4] * 3, [0.02, 0, 0]
+    _, x, *_ = EFFECTS["payload"].parameters(spec.compile(), "rod")
+    assert x.high == 0.25
 
 
 def test_a_payload_hangs_where_it_is_said_to() -> None:

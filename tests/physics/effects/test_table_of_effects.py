@@ -9,7 +9,7 @@ import mujoco
 
 from rlco.physics.effects import EFFECTS
 
-PAGE = Path(__file__).parents[3] / "docs" / "api.md"
+PAGE = Path(__file__).parents[3] / "docs" / "api" / "effects.md"
 # It has whatever an effect can act on.
 ARM = """
 <mujoco><compiler angle="radian"/><worldbody><geom type="plane" size="1 1 .1"/>
@@ -26,7 +26,7 @@ def test_every_effect_is_listed_with_its_numbers_and_units() -> None:
     model = mujoco.MjModel.from_xml_string(ARM)
     expected = {}
     for name, effect in EFFECTS.items():
-        target = effect.targets(model)[0]
+        target = next(iter(effect.targets(model)), None)
         numbers = [(p.name, p.unit) for p in effect.parameters(model, target)]
         expected[name] = numbers, effect.summary
     found = {}

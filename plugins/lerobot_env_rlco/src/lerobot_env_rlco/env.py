@@ -13,20 +13,24 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
-from rlco.physics.gymnasium_env import TaskEnv
-from rlco.physics.observation import ACTION_NAMES, STATE_NAMES
-from rlco.physics.task import make_task
+from rlco.physics.effects import load_code
+from rlco.physics.spec.actions import ActionRange
+from rlco.physics.spec.domain import make_domain
+from rlco.physics.tasks.gymnasium_env import TaskEnv
+from rlco.physics.tasks.make_task import make_task
 
 
 @EnvConfig.register_subclass("rlco")
 @dataclass
 class RlcoEnv(EnvConfig):
-    """A task of rlco, see `rlco.physics.gymnasium_env.TaskEnv`.
+    """A task of rlco, see `rlco.physics.tasks.gymnasium_env.TaskEnv`.
 
     Attributes:
         task: name of the task.
         fps: control steps a second; the tasks' own, for videos.
-        domain: ``sim`` or ``stand_in``.
+        domain: ``sim``, ``stand_in``, or the path of a domain's file, such as the gap
+            workflow's ``effects.yaml``.
+        effects_code: a Python file that registers effects of your own.
         variation: a named variation of the scene.
         camera: last part of the camera's name, ``front`` for
             ``observation.images.front``; None: numbers alone, and the objects' poses
@@ -40,6 +44,7 @@ class RlcoEnv(EnvConfig):
     task: str = "push_cube"
     fps: int = 20
     domain: str = "sim"
+    effects_code: str | None = None
     variation: str | None = None
     camera: str | None = None
     image_size: int = 128
@@ -47,14 +52,19 @@ class RlcoEnv(EnvConfig):
     terminate_on_success: bool = False
 
     def __post_init__(self) -> None:
+        load_code(self.effects_code)
+        make_domain(self.domain)  # LeRobot loads the policy before the environments
+
+        task = make_task(self.task)
+
         def numbers(kind: FeatureType, size: int) -> PolicyFeature:
             return PolicyFeature(type=kind, shape=(size,))
 
-        self.features[ACTION] = numbers(FeatureType.ACTION, len(ACTION_NAMES))
-        self.features["agent_pos"] = numbers(FeatureType.STATE, len(STATE_NAMES))
+        self.features[ACTION] = numbers(FeatureType.ACTION, len(task.action_names))
+        self.features["agent_pos"] = numbers(FeatureType.STATE, len(task.state_names))
         self.features_map |= {ACTION: ACTION, "agent_pos": OBS_STATE}
         if self.camera is None:
-            names = make_task(self.task).environment_state_names
+            names = task.environment_state_names
             self.features["environment_state"] = numbers(FeatureType.ENV, len(names))
             self.features_map["environment_state"] = OBS_ENV_STATE
         else:
@@ -68,6 +78,7 @@ class RlcoEnv(EnvConfig):
         """Return the options of one environment."""
         return {
             "domain": self.domain,
+            "effects_code": self.effects_code,
             "variation": self.variation,
             "obs_type": "state" if self.camera is None else "pixels_agent_pos",
             "image_size": (self.image_size, self.image_size),
@@ -108,6 +119,7 @@ class Episode(gymnasium.Wrapper[Any, Any, Any, Any]):
     def __init__(self, env: TaskEnv, camera: str | None) -> None:
         super().__init__(env)
         self._camera = camera
+        self._action_range = ActionRange()
         if camera is not None:
             parts: dict[str, spaces.Space[Any]] = dict(
                 cast(spaces.Dict, env.observation_space)
@@ -124,6 +136,7 @@ class Episode(gymnasium.Wrapper[Any, Any, Any, Any]):
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Execute one control step."""
+        self._action_range.check(action)
         given = np.clip(action, -1.0, 1.0)
         observation, reward, terminated, truncated, info = self.env.step(given)
         ended = terminated or truncated

@@ -1,0 +1,85 @@
+"""A collector, and the simulator it plays in, from a recipe's options."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, Literal, Protocol
+
+from tensordict import TensorDictBase
+
+from rlco.collectors.advantages import Advantage
+from rlco.collectors.rollouts import RolloutCollector
+from rlco.envs import make_env
+from rlco.physics.tasks.named_task import training_horizon
+
+
+class CollectorOptions(Protocol):
+    """The options of Stage II that say where rollouts come from and how good they are.
+
+    Attributes:
+        task: The task's name.
+        train_domain: Where to play: a domain's name, or the path of an effects.yaml.
+        num_envs: Episodes of a rollout.
+        reward: ``shaped`` or ``sparse``.
+        horizon: Control steps of an episode; None: the task's own for training.
+        seed: Draws the episodes.
+        gamma: See `RolloutCollector`, as the following.
+        lmbda: GAE's lambda.
+        advantage: ``gae`` or ``mc``.
+        group_size: Episodes of a group.
+    """
+
+    task: str
+    train_domain: str
+    num_envs: int
+    reward: Literal["shaped", "sparse"]
+    horizon: int | None
+    seed: int
+    gamma: float
+    lmbda: float
+    advantage: Advantage
+    group_size: int
+
+
+def make_collector(
+    options: CollectorOptions,
+    policy: Any,
+    critic: Any | None,
+    *,
+    chunk: int,
+    image_size: tuple[int, int] | None,
+    backend: Literal["native", "robosuite"] = "native",
+    prepare: Callable[[TensorDictBase], None] | None = None,
+) -> RolloutCollector:
+    """Return a collector that plays in the options' simulator.
+
+    Args:
+        options: See `CollectorOptions`.
+        policy: See `RolloutCollector`.
+        critic: See `RolloutCollector`.
+        chunk: Control steps of a decision.
+        image_size: Height and width of the images that the policy reads; None: none.
+        backend: Who steps the model.
+        prepare: See `RolloutCollector`.
+    """
+    env = make_env(
+        options.task,
+        domain=options.train_domain,
+        backend=backend,
+        num_envs=options.num_envs,
+        chunk=chunk,
+        reward=options.reward,
+        horizon=training_horizon(options.task, options.horizon),
+        image_size=image_size,
+        seed=options.seed,
+    )
+    return RolloutCollector(
+        env,
+        policy,
+        critic,
+        gamma=options.gamma,
+        lmbda=options.lmbda,
+        advantage=options.advantage,
+        group_size=options.group_size,
+        prepare=prepare,
+    )

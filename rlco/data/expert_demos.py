@@ -1,0 +1,171 @@
+"""A data set of demonstrations of a task's scripted expert."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from tqdm import tqdm
+
+from rlco.data.filming import film_demonstrations, film_failure
+from rlco.data.recording import DemoWriter
+from rlco.errors import ConfigError, RenderingError, RlcoError
+from rlco.physics.effects.corrected_model import Given
+from rlco.physics.robosuite.options import PREFIX
+from rlco.physics.spec.domain import Domain, GivenDomain, make_domain
+from rlco.physics.spec.task import Task
+from rlco.physics.tasks.demonstrate import (
+    Demonstration,
+    ExpertError,
+    demonstrate,
+)
+from rlco.physics.tasks.make_task import make_task
+
+log = logging.getLogger("rlco.data")
+
+
+def record_demonstrations(
+    path: str | Path,
+    task: str,
+    domain: GivenDomain,
+    *,
+    episodes: int,
+    seed: int,
+    noise: float = 0.1,
+    effects: Given = None,
+    camera: str | None = None,
+    image_size: int | None = None,
+    video: bool = False,
+) -> int:
+    """Record demonstrations of a task's expert as a LeRobot v3 data set.
+
+    Args:
+        path: The new folder.
+        task: The task's name.
+        domain: Where to record: a domain, its name or file.
+        episodes: Successful episodes to keep.
+        seed: Draws initial states and noise.
+        noise: Of the commands, in units of their range.
+        effects: Effects to add to the simulator, see `rlco.envs.make_env`.
+        camera: Camera to record; None: no images.
+        image_size: Side of its images [pixels].
+        video: Keep images as video, small and lossy, not as PNG.
+
+    Returns:
+        The number of frames.
+
+    Raises:
+        OutputExistsError: The folder exists; nothing in it was touched.
+        RlcoError: The task has no expert, or the expert fails too often; then a film of
+            a failure lies beside the folder, where anything can render.
+        ConfigError: A camera without a size, or the other way round.
+        RenderingError: Images are asked for and nothing can render.
+    """
+    if task.startswith(PREFIX):
+        raise RlcoError(
+            f"task {task!r} is robosuite's and has no scripted expert; record "
+            "demonstrations of it elsewhere and give their LeRobot folder to sft.py."
+        )
+    what, where = make_task(task), make_domain(domain)
+    given: dict[str, Any] = {
+        "episodes": episodes,
+        "seed": seed,
+        "noise": noise,
+        "effects": effects,
+    }
+    size = None if image_size is None else (image_size, image_size)
+    demonstrations = _played(what, where, camera, size, given)
+    frames = 0
+    with (
+        _filmed_failure(Path(path), what, where, effects),
+        DemoWriter(
+            path,
+            fps=what.control_frequency,
+            state_names=what.state_names,
+            environment_state_names=what.environment_state_names,
+            action_names=what.action_names,
+            robot_type=f"{what.robot.name.lower()}_{where.name}",
+            camera=camera,
+            image_size=size,
+            video=video,
+        ) as writer,
+    ):
+        for demonstration, images in tqdm(
+            demonstrations, "episodes", total=episodes, disable=None
+        ):
+            _write(writer, demonstration, images)
+            frames += len(demonstration.action)
+    return frames
+
+
+@contextmanager
+def _filmed_failure(
+    path: Path, task: Task, domain: Domain, effects: Given
+) -> Iterator[None]:
+    """Film an episode where an expert fails, and say where the film lies."""
+    try:
+        yield
+    except ExpertError as failure:
+        film = path.with_name(f"{path.name}_episode_{failure.episode.number}.mp4")
+        try:
+            film_failure(film, task, domain, failure, effects=effects)
+        except RenderingError:
+            raise failure from None  # its reason is enough, without a film
+        raise RlcoError(
+            f"{failure.reason}; look at {film}, then correct the expert or the domain."
+        ) from failure
+
+
+def record_once(path: Path, task: str, domain: GivenDomain, **options: Any) -> None:
+    """Record as `record_demonstrations` does, unless the folder is there already.
+
+    A recording that was cut off is made anew: it has another name until it is whole.
+    """
+    if path.exists():
+        return
+    part = path.with_suffix(".part")
+    shutil.rmtree(part, ignore_errors=True)
+    frames = record_demonstrations(part, task, domain, **options)
+    part.rename(path)
+    log.info("recorded %d episodes, %d frames: %s", options["episodes"], frames, path)
+
+
+def _played(
+    task: Task,
+    domain: Domain,
+    camera: str | None,
+    size: tuple[int, int] | None,
+    given: dict[str, Any],
+) -> Iterator[tuple[Demonstration, Any]]:
+    """Return demonstrations, each with its images: None a frame without a camera."""
+    if (camera is None) != (size is None):
+        raise ConfigError(
+            ["camera and image_size belong together; give both or neither"]
+        )
+    if camera is None or size is None:
+        plain = demonstrate(task, domain, **given)
+        return ((one, [None] * len(one.action)) for one in plain)
+    return film_demonstrations(task, domain, camera=camera, image_size=size, **given)
+
+
+def _write(writer: DemoWriter, demonstration: Demonstration, images: Any) -> None:
+    """Write one episode."""
+    for state, environment_state, action, image in zip(
+        demonstration.state,
+        demonstration.environment_state,
+        demonstration.action,
+        images,
+        strict=True,
+    ):
+        writer.add_frame(
+            state=state,
+            environment_state=environment_state,
+            action=action,
+            task=demonstration.instruction,
+            image=image,
+        )
+    writer.save_episode()

@@ -1,0 +1,1 @@
+"""Residuals between recordings and simulation: one package for each kind of log."""

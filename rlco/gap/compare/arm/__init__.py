@@ -1,0 +1,1 @@
+"""Position-controlled arms: residuals of measured against simulated joint positions."""

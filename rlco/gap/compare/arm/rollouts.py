@@ -1,0 +1,326 @@
+"""Position-controlled arms: residuals of measured against simulated joint positions.
+
+Each recording is rolled out open loop from its first row, with the recorded commands.
+A servo forgets its initial state, so the longest rollouts are the most informative. For
+a robot that does not, rollouts restart from the measurement repeatedly (`segments`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from rlco.gap.compare.arm.divergence import diverged
+from rlco.gap.compare.arm.kernel import Views, roll_out, roll_out_forces
+from rlco.gap.compare.arm.needed_torque import limits, servo_torque
+from rlco.gap.compare.model_tolerance import apply_tolerance, tolerance_names
+from rlco.gap.compare.problem import (
+    Candidate,
+    Hypothesis,
+    Integers,
+    Layout,
+    Problem,
+    Run,
+)
+from rlco.gap.compare.segments import (
+    Segment,
+    held_commands,
+    joint_velocity,
+    parts_of,
+    segments_of,
+)
+from rlco.gap.logs.log import Array, Log, Recording
+from rlco.physics.effects import searched
+from rlco.physics.effects.actuator import TORQUE_LIMIT
+from rlco.physics.effects.apply import (
+    apply_to_commands,
+    apply_to_measurement,
+    apply_to_spec,
+    step_forces,
+    true_positions,
+)
+from rlco.physics.effects.step_forces import StepForces
+from rlco.physics.effects.targets import actuator_of, dof_of
+from rlco.physics.effects.transmission import COMPLIANCE_SUFFIX
+from rlco.physics.mj.libmujoco import silenced_warnings
+
+
+class ArmRollouts(Problem):
+    """A `Problem` for an arm with logged joint commands and positions.
+
+    Args:
+        spec: The model, pruned so that it compiles quickly for each hypothesis.
+        log: Commands and positions.
+        noise: Standard deviation of each joint's measurement [rad or m], (joints,).
+        horizon: Length of a rollout [s]; None for whole recordings.
+        threads: Rollouts that run in parallel.
+    """
+
+    def __init__(
+        self,
+        spec: mujoco.MjSpec,
+        log: Log,
+        noise: Array,
+        *,
+        horizon: float | None = None,
+        threads: int = 2,
+    ) -> None:
+        self.spec, self.log, self.noise = spec, log, np.asarray(noise, dtype=float)
+        self.model: mujoco.MjModel = spec.copy().compile()
+        self.threads = threads
+        self.tolerance_names = tolerance_names(self.model)
+        self._pool = ThreadPoolExecutor(threads)
+        self._columns = [self.model.actuator(name).id for name in log.actuators]
+        self._positions = [
+            np.asarray(recording.position, dtype=float) for recording in log.recordings
+        ]
+        step = float(self.model.opt.timestep)
+        self._commands = [
+            held_commands(recording, step, self.model.nu, self._columns)
+            for recording in log.recordings
+        ]
+        self.segments = [
+            segment
+            for index, recording in enumerate(log.recordings)
+            for segment in segments_of(index, recording, step, horizon)
+        ]
+        self.layout = self._layout()
+
+    def candidates(self) -> list[Candidate]:
+        """Return each effect at each target that can move these joints."""
+        found = []
+        driven = set(self.log.joints)
+        for effect in searched("positions"):
+            for target in effect.targets(self.model):
+                joint = target if target in _joint_names(self.model) else None
+                if joint is None or joint in driven:
+                    found.append(Candidate(effect.name, target))
+        return found
+
+    def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
+        """Return torque limits a little below what each joint requires.
+
+        This depends on the motion. A joint with a vertical axis carries no weight, and
+        one that moves slowly in the log never needs its full torque.
+        """
+        found = [self.traces(Hypothesis(), i) for i in range(len(self.log.recordings))]
+        command, position, velocity = (
+            np.concatenate([one[name] for one in found])
+            for name in ("command", "simulated", "velocity")
+        )
+        torque = servo_torque(self.model, self.log.joints, command, position, velocity)
+        return {
+            Candidate(TORQUE_LIMIT.name, name): limits(np.abs(column))
+            for name, column in zip(self.log.joints, torque.T, strict=True)
+            if np.isfinite(column).all() and column.any()
+        }
+
+    def residuals(
+        self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None
+    ) -> Array:
+        """Return measured minus simulated positions, (hypotheses, N)."""
+        segments = [
+            segment
+            for segment in self.segments
+            if recordings is None or segment.recording in recordings
+        ]
+        jobs = [
+            (hypothesis, part)
+            for hypothesis in hypotheses
+            for part in parts_of(segments, len(hypotheses), self.threads)
+        ]
+        with silenced_warnings():
+            rows = list(self._pool.map(lambda job: self.simulate(*job), jobs))
+        parts = len(jobs) // max(len(hypotheses), 1)
+        return np.stack(
+            [
+                np.concatenate(rows[i * parts : (i + 1) * parts])
+                for i in range(len(hypotheses))
+            ]
+        )
+
+    def traces(self, hypothesis: Hypothesis, recording: int) -> Mapping[str, Array]:
+        """Return the signals of one recording, see `Problem.traces`."""
+        log = self.log.recordings[recording]
+        position, velocity = log.position, joint_velocity(log)
+        simulated = np.array(position, dtype=float)
+        residual = self.residuals([hypothesis], [recording])[0]
+        rows = np.concatenate(
+            [
+                np.arange(segment.begin, segment.last + 1)
+                for segment in self.segments
+                if segment.recording == recording
+            ]
+        )
+        simulated[rows] -= residual.reshape(len(rows), -1)
+        return {
+            "time": log.time,
+            "measured": np.array(position, dtype=float),
+            "simulated": simulated,
+            "velocity": velocity,
+            "acceleration": np.gradient(velocity, log.time, axis=0),
+            "command": self._joint_commands(log),
+            "torque": self._static_torque(np.array(position, dtype=float)),
+        }
+
+    def runs(self, hypothesis: Hypothesis, recordings: Sequence[int]) -> list[Run]:
+        """Return the rollouts of some recordings, see `Problem.runs`."""
+        model, effects = self._compiled(hypothesis), hypothesis.effects
+        _, (positions, speeds) = _addresses(model, self.log.joints)
+        found = []
+        for segment in self.segments:
+            if segment.recording not in recordings:
+                continue
+            sent = apply_to_commands(self._commands[segment.recording], model, effects)
+            qpos, qvel = model.qpos0.copy(), np.zeros(model.nv)
+            qpos[positions] = true_positions(segment.state[0], self.log.joints, effects)
+            qvel[speeds] = segment.state[1]
+            time = float(self.log.recordings[segment.recording].time[segment.first])
+            commands = sent[segment.steps : segment.steps + segment.commands]
+            found.append(Run(segment.recording, time, model, qpos, qvel, commands))
+        return found
+
+    def _compiled(self, hypothesis: Hypothesis) -> mujoco.MjModel:
+        spec = self.spec.copy()
+        if hypothesis.spread:
+            apply_tolerance(spec, self.tolerance_names, hypothesis.spread)
+        apply_to_spec(spec, hypothesis.effects)
+        return spec.compile()
+
+    def _joint_commands(self, log: Recording) -> Array:
+        commands = np.array(log.position, dtype=float)
+        sent = np.array(log.command, dtype=float)
+        for column, name in enumerate(self.log.joints):
+            actuator = actuator_of(self.model, name)
+            if actuator in self._columns:
+                commands[:, column] = sent[:, self._columns.index(actuator)]
+        return commands
+
+    def _static_torque(self, position: Array) -> Array:
+        """Return the torque against gravity in each row, (T, joints)."""
+        data = mujoco.MjData(self.model)
+        torque = np.empty_like(position)
+        for row, joints in enumerate(position):
+            for column, name in enumerate(self.log.joints):
+                data.qpos[self.model.joint(name).qposadr[0]] = joints[column]
+            mujoco.mj_forward(self.model, data)
+            for column, name in enumerate(self.log.joints):
+                torque[row, column] = data.qfrc_bias[dof_of(self.model, name)]
+        return torque
+
+    def _layout(self) -> Layout:
+        joints = len(self.log.joints)
+        recording, time = [], []
+        for segment in self.segments:
+            rows = np.arange(segment.begin, segment.last + 1)
+            times = self.log.recordings[segment.recording].time[rows]
+            recording.append(np.full(len(rows) * joints, segment.recording))
+            time.append(np.repeat(times, joints))
+        total = sum(len(part) for part in time)
+        slides = mujoco.mjtJoint.mjJNT_SLIDE
+        units = tuple(
+            "m" if self.model.joint(name).type[0] == slides else "rad"
+            for name in self.log.joints
+        )
+        channel = np.tile(np.arange(joints), total // joints)
+        return Layout(
+            np.concatenate(recording),
+            np.concatenate(time),
+            channel,
+            tuple(self.log.joints),
+            units,
+        )
+
+    def simulate(self, hypothesis: Hypothesis, segments: Sequence[Segment]) -> Array:
+        """Return measured minus simulated positions of the segments, in order, (N,)."""
+        effects, joints = hypothesis.effects, self.log.joints
+        model = self._compiled(hypothesis)
+        forces = step_forces(model, effects)
+        data = mujoco.MjData(model)
+        read, write = _addresses(model, joints)
+        filtered: dict[int, Array] = {}
+        out = []
+        for segment in segments:
+            index = segment.recording
+            if index not in filtered:
+                sent = self._commands[index]
+                filtered[index] = apply_to_commands(sent, model, effects)
+            commands = filtered[index][segment.steps : segment.steps + segment.commands]
+            start = true_positions(segment.state[0], joints, effects)
+            mujoco.mj_resetData(model, data)
+            data.qpos[write[0]] = start
+            data.qvel[write[1]] = segment.state[1]
+            track = np.zeros((segment.commands + 1, len(joints)))
+            step_through(model, data, commands, read, track, forces)
+            rows = track[segment.frames]
+            rows += segment.weights[:, None] * (track[segment.frames + 1] - rows)
+            rows = apply_to_measurement(rows, joints, effects)
+            residual = self._positions[index][segment.begin : segment.last + 1] - rows
+            if diverged(data) or not np.isfinite(residual).all():
+                residual = np.full_like(residual, np.inf)
+            out.append(residual.ravel())
+        return np.concatenate(out)
+
+
+def step_through(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    commands: Array,
+    read: Integers,
+    track: Array,
+    forces: StepForces,
+) -> None:
+    """Step a model through its commands, from the current state of its data.
+
+    Args:
+        model: The model; restored when this returns.
+        data: Its state; holds the final state when this returns.
+        commands: One row per physics step, (steps, nu).
+        read: Columns and addresses to record, see `roll_out`.
+        track: Output: positions before each step, (steps + 1, columns).
+        forces: Forces at each step beyond the model's own.
+    """
+    addresses = (model._address, data._address)
+    commands = np.ascontiguousarray(commands)
+    if not (forces.friction.rows.size or forces.torque.rows.size):
+        roll_out(*addresses, (data.qpos, data.ctrl), commands, read, track)
+        return
+    own = model.dof_frictionloss.copy()
+    views = Views(
+        data.qpos,
+        data.qvel,
+        data.ctrl,
+        data.qfrc_bias,
+        data.qfrc_actuator,
+        data.qfrc_applied,
+        model.dof_frictionloss,
+        own,
+    )
+    runge_kutta = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
+    mujoco.mj_forward(model, data)
+    roll_out_forces(*addresses, views, commands, read, track, forces, bool(runge_kutta))
+    model.dof_frictionloss[:] = own
+
+
+def _addresses(
+    model: mujoco.MjModel, joints: tuple[str, ...]
+) -> tuple[Integers, tuple[Any, Any]]:
+    read = []
+    for column, name in enumerate(joints):
+        read.append((column, int(model.joint(name).qposadr[0])))
+        link = mujoco.mj_name2id(
+            model, mujoco.mjtObj.mjOBJ_JOINT, name + COMPLIANCE_SUFFIX
+        )
+        if link >= 0:
+            read.append((column, int(model.jnt_qposadr[link])))
+    positions = [int(model.joint(name).qposadr[0]) for name in joints]
+    velocities = [dof_of(model, name) for name in joints]
+    return np.array(read), (positions, velocities)
+
+
+def _joint_names(model: mujoco.MjModel) -> set[str]:
+    return {model.joint(i).name for i in range(model.njnt)}

@@ -1,0 +1,123 @@
+"""Segments of recordings that are rolled out from measured states."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from rlco.gap.compare.problem import Integers
+from rlco.gap.logs.log import Array, Recording
+
+SETTLE = 0.3  # time in which an arm forgets a wrong initial velocity [s]
+
+
+@dataclass(frozen=True)
+class Segment:
+    """A segment of a recording, rolled out from a measured state.
+
+    Attributes:
+        recording: Index of the recording.
+        first: Its first row, where the rollout starts.
+        begin: The first row that is compared.
+        last: Its last row.
+        steps: Physics steps from the recording's first row to the segment's.
+        commands: Physics steps of the segment.
+        frames: Step of the segment before each compared row, (rows,).
+        weights: Fraction from that step to the next at which the row lies, (rows,).
+        state: Positions and velocities at the first row, (2, joints).
+    """
+
+    recording: int
+    first: int
+    begin: int
+    last: int
+    steps: int
+    commands: int
+    frames: Integers
+    weights: Array
+    state: Array
+
+
+def held_commands(
+    recording: Recording, step: float, size: int, columns: list[int]
+) -> Array:
+    """Return the commands at each physics step, held between rows, (steps, nu)."""
+    steps = round(recording.seconds / step) + 1
+    times = recording.time[0] + step * np.arange(steps)
+    # A row takes effect at the step nearest to it in time.
+    row = np.searchsorted(recording.time, times + 0.5 * step, side="right") - 1
+    commands = np.zeros((steps, size))
+    commands[:, columns] = np.asarray(recording.command, dtype=float)[row]
+    return commands
+
+
+def joint_velocity(recording: Recording) -> Array:
+    """Return logged velocities, or those derived from positions, (T, joints)."""
+    from scipy.signal import savgol_filter  # seconds, for recordings without speeds
+
+    if recording.velocity is not None:
+        return np.asarray(recording.velocity, dtype=float)
+    period = float(np.median(np.diff(recording.time)))
+    rows = min(9, recording.rows - (recording.rows + 1) % 2)
+    return np.asarray(
+        savgol_filter(recording.position, rows, min(3, rows - 1), 1, period, axis=0)
+    )
+
+
+def segments_of(
+    index: int, recording: Recording, step: float, horizon: float | None
+) -> list[Segment]:
+    """Divide a recording into the segments that are rolled out.
+
+    Args:
+        index: Its index in the log.
+        recording: The recording.
+        step: The physics step [s].
+        horizon: Length of a segment [s]; None for the whole recording.
+    """
+    rows = recording.rows
+    period = float(np.median(np.diff(recording.time)))
+    length = rows - 1 if horizon is None else max(2, round(horizon / period))
+    velocity = joint_velocity(recording)
+    position = np.asarray(recording.position, dtype=float)
+    # A velocity derived from positions is poor at the first row of a recording.
+    settle = 0 if recording.velocity is not None else round(SETTLE / period)
+    settle = min(settle, max(0, rows - 3))
+    segments = []
+    for first in range(0, rows - 2, length):
+        last = min(first + length, rows - 1)
+        begin = round((recording.time[first] - recording.time[0]) / step)
+        begin_row = first + 1 + (settle if horizon is None else 0)
+        exact = (recording.time[begin_row : last + 1] - recording.time[0]) / step
+        exact = exact - begin
+        near = np.round(exact)
+        exact = np.where(np.abs(exact - near) < 1e-3, near, exact)
+        frames = np.floor(exact).astype(np.int64)
+        steps = int(frames[-1]) + 1
+        state = np.stack([position[first], velocity[first]])
+        segments.append(
+            Segment(
+                index,
+                first,
+                begin_row,
+                last,
+                begin,
+                steps,
+                frames,
+                exact - frames,
+                state,
+            )
+        )
+    return segments
+
+
+def parts_of(
+    segments: list[Segment], hypotheses: int, threads: int
+) -> list[list[Segment]]:
+    """Split the segments if there are too few hypotheses to occupy all threads."""
+    if hypotheses >= 4 * threads or len(segments) < threads:
+        return [segments]
+    bounds = np.linspace(0, len(segments), threads + 1).astype(int)
+    return [segments[a:b] for a, b in pairwise(bounds)]

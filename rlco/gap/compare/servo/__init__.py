@@ -1,0 +1,1 @@
+"""A servo with its firmware that drives a pendulum, as in BAM's recordings."""

@@ -1,0 +1,1 @@
+"""Measured joint torques against inverse dynamics."""

@@ -1,0 +1,1 @@
+"""Logs of a task's own actions: their conventions and their replay in simulation."""

@@ -1,0 +1,1 @@
+"""Compiled replay of a task's recordings under robosuite's controller."""

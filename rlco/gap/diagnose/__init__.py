@@ -1,0 +1,1 @@
+"""Localise the disagreement of simulation and measurement, and advise recordings."""

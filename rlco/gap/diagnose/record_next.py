@@ -1,0 +1,315 @@
+"""Recommend what to record next: the motion on which rivals differ most.
+
+Rivals are effects that fit the log equally well. Each is fitted to the log, and all are
+simulated on motions that the robot could make. A motion is rated by the difference that
+remains when the parameters of one rival may follow the other, in noise floors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.compare.problem import (
+    Candidate,
+    Hypothesis,
+    NamedEffect,
+    Problem,
+    Verdict,
+)
+from rlco.gap.compare.servo.bench import ServoBench
+from rlco.gap.compare.wording import title
+from rlco.gap.diagnose.command_file import write_commands
+from rlco.gap.diagnose.motions import KINDS, SECONDS, Kind, Workspace, workspace_of
+from rlco.gap.logs.log import Array, Log, Recording
+from rlco.gap.search.fit import fit, library_of, with_values
+from rlco.physics.effects import EFFECTS, AppliedEffect, Parameter
+from rlco.physics.effects.targets import actuated_joint, servo_joints
+
+# Smallest difference in noise floors that is worth a recording: it would raise the
+# error of the wrong rival by a tenth.
+_CLEAR = 0.5
+_PLENTY = 3.0  # difference beyond which more is no better
+_BENCH = (
+    "Record the same motions with a heavier and a lighter pendulum and with another "
+    "supply voltage, each at a low and at a high gain: a loss, a limit and a gain of "
+    "the drive grow differently with the torque that is asked for. Log the current, if "
+    "the servo reports it."
+)
+_STEP = 0.05  # finite difference of a parameter, as a fraction of its size
+
+
+@dataclass(frozen=True)
+class Motion:
+    """A motion to record.
+
+    Attributes:
+        name: Its name, also that of its folder.
+        how: Instruction in one sentence.
+        tells_apart: The rivals.
+        separation: Smallest difference between two rivals on it, root mean square in
+            noise floors; None where it was not simulated.
+        commands: Goals of the actuators, one row per frame, (T, actuators) [rad or m];
+            None where there is nothing to replay.
+        names: Names of the actuators.
+        fps: Rate of the goals [Hz].
+    """
+
+    name: str
+    how: str
+    tells_apart: tuple[Candidate, ...]
+    separation: float | None = None
+    commands: Array | None = None
+    names: tuple[str, ...] = ()
+    fps: int = 0
+
+    def save(self, out: str | Path) -> dict[str, object]:
+        """Write the commands below ``out/record_next``; return a row for reports."""
+        folder = Path("record_next") / self.name
+        if self.commands is not None:
+            write_commands(
+                Path(out) / folder,
+                self.commands,
+                names=self.names,
+                fps=self.fps,
+                task=self.how,
+            )
+        return {
+            "motion": self.name,
+            "how": self.how,
+            "tells_apart": ", ".join(title(one) for one in self.tells_apart),
+            "noise_floors": None
+            if self.separation is None
+            else round(self.separation, 1),
+            "seconds": SECONDS if self.commands is not None else None,
+            "commands": str(folder) if self.commands is not None else None,
+        }
+
+
+def recommend(problem: Problem, verdict: Verdict) -> list[Motion]:
+    """Return a motion for each class of rivals, and one for joints that hardly moved.
+
+    Args:
+        problem: The robot and its log.
+        verdict: The result of the search.
+    """
+    motions = [
+        _for_rivals(problem, verdict, finding)
+        for finding in verdict.effects
+        if finding.rivals
+    ]
+    still = _still_joints(problem.log)
+    if still or verdict.verdict == "not_identifiable":
+        motions.append(_for_still_joints(problem, still))
+    return list({motion.name: motion for motion in motions}.values())
+
+
+def separations(
+    problem: Problem,
+    one: Sequence[AppliedEffect],
+    others: Mapping[Candidate, Sequence[AppliedEffect]],
+) -> dict[Candidate, float]:
+    """Return the differences of sets of effects from one on a problem's motions.
+
+    Args:
+        problem: Its measurements do not matter.
+        one: Effects with parameters.
+        others: Another set of effects for each rival; the parameters of the rival may
+            follow `one`, to first order.
+
+    Returns:
+        Root mean squares in noise floors; 0 where a simulation diverges.
+    """
+    lists: list[tuple[AppliedEffect, ...]] = [tuple(one)]
+    parts: dict[Candidate, slice] = {}
+    library = library_of(problem)
+    for rival, other in others.items():
+        varied = _varied(other, rival, library[rival])
+        parts[rival] = slice(len(lists), len(lists) + 1 + len(varied))
+        lists += [tuple(other), *varied]
+    rows = problem.residuals([Hypothesis(effects) for effects in lists])
+    rows = rows / problem.noise[problem.layout.channel]
+    return {rival: _apart(rows[0], rows[part]) for rival, part in parts.items()}
+
+
+def _apart(one: Array, rows: Array) -> float:
+    """Return a difference less the first-order changes by a rival's parameters."""
+    if not (np.isfinite(one).all() and np.isfinite(rows).all()):
+        return 0.0
+    difference, changes = one - rows[0], (rows[1:] - rows[0]).T
+    parameters = np.linalg.lstsq(changes, difference, rcond=1e-6)[0]
+    return float(np.sqrt(np.mean((difference - changes @ parameters) ** 2)))
+
+
+def _varied(
+    effects: Sequence[AppliedEffect], one: Candidate, known: Sequence[Parameter]
+) -> list[tuple[AppliedEffect, ...]]:
+    """Return the effects with each parameter of one of them changed slightly."""
+    out = []
+    for parameter in known:
+        size = max(abs(start - parameter.neutral) for start in parameter.starts)
+        varied = []
+        for effect in effects:
+            if _candidate(effect) == one:
+                value = effect.parameters[parameter.name]
+                step = _STEP * max(abs(value - parameter.neutral), 0.2 * size, 1e-6)
+                value += step if value + step <= parameter.high else -step
+                parameters = {**effect.parameters, parameter.name: value}
+                effect = replace(effect, parameters=parameters)
+            varied.append(effect)
+        out.append(tuple(varied))
+    return out
+
+
+def _for_rivals(problem: Problem, verdict: Verdict, finding: NamedEffect) -> Motion:
+    named = Candidate(finding.name, finding.target)
+    members = (named, *finding.rivals)
+    known = [EFFECTS[member.name].by_hand for member in members]
+    by_hand = next((how for how in known if how), None)
+    servos = set(servo_joints(problem.model))
+    if isinstance(problem, ServoBench):
+        return Motion("other_loads", _BENCH, members)
+    if not isinstance(problem, ArmRollouts) or not servos.issuperset(
+        problem.log.joints
+    ):
+        how = by_hand or "Record faster and slower motion, with rests in between."
+        return Motion(f"after_{finding.name}", how, members)
+    effects = verdict.hypothesis.effects
+    rivals = {
+        rival: _fitted(problem, verdict, named, rival) for rival in finding.rivals
+    }
+    workspace = workspace_of(problem.model, problem.log)
+    motions = []
+    for kind in KINDS:
+        for columns in _choices(workspace, members):
+            goals = kind.make(workspace, columns)
+            apart = separations(_problem_on(problem, workspace, goals), effects, rivals)
+            least = min(apart.values())
+            motions.append(
+                _motion(problem, workspace, kind, columns, goals, members, least)
+            )
+    best = max(motions, key=_rating)
+    if (best.separation or 0.0) < _CLEAR and by_hand:
+        return replace(best, how=f"{best.how} {by_hand}")
+    return best
+
+
+def _rating(motion: Motion) -> tuple[float, float]:
+    """Rate a motion; of those that clearly separate rivals, few joints are better."""
+    apart = motion.separation or 0.0
+    few = not motion.name.endswith("_all")
+    return min(apart, _PLENTY) + (few and apart > _PLENTY), apart
+
+
+def _fitted(
+    problem: Problem, verdict: Verdict, named: Candidate, rival: Candidate
+) -> tuple[AppliedEffect, ...]:
+    """Return the best-fitting effects with a rival replacing the named effect."""
+    library = library_of(problem)
+    rest = [e for e in verdict.hypothesis.effects if _candidate(e) != named]
+    known = library[rival]
+    starts = [
+        [*rest, *with_values(library, [rival], np.array(values))]
+        for first in known[0].starts
+        for values in [[first, *(p.starts[0] for p in known[1:])]]
+    ]
+    train = verdict.train
+    shown = np.isin(problem.layout.recording, train)
+    scale = problem.noise[problem.layout.channel][shown]
+
+    def whiten(lists: Sequence[tuple[AppliedEffect, ...]]) -> Array:
+        hypotheses = [Hypothesis(effects) for effects in lists]
+        return problem.residuals(hypotheses, train) / scale
+
+    return min(fit(library, starts, whiten), key=lambda one: one.cost).effects
+
+
+def _choices(workspace: Workspace, members: Sequence[Candidate]) -> list[list[int]]:
+    """Return sets of joints to move: each of the rivals' joints, and all together."""
+    of = {
+        workspace.joints.index(m.target)
+        for m in members
+        if m.target in workspace.joints
+    }
+    every = list(range(len(workspace.joints)))
+    return [every] if not of or len(of) == len(every) else [sorted(of), every]
+
+
+def _still_joints(log: Log) -> list[str]:
+    """Return the joints that nearly always stay within a hundredth of a radian."""
+    parts = [np.asarray(r.position) for r in log.recordings if r.position is not None]
+    if not parts:
+        return []
+    low, high = np.quantile(np.concatenate(parts), [0.05, 0.95], axis=0)
+    ranges = high - low
+    return [name for name, s in zip(log.joints, ranges, strict=True) if s < 0.01]
+
+
+def _for_still_joints(problem: Problem, still: Sequence[str]) -> Motion:
+    joints = list(still) or list(problem.log.joints)
+    if not isinstance(problem, ArmRollouts):
+        return Motion("more_motion", f"Move {', '.join(joints) or 'it'} more.", ())
+    workspace = workspace_of(problem.model, problem.log)
+    columns = [workspace.joints.index(name) for name in joints]
+    sweep = next(kind for kind in KINDS if kind.name == "fast_sweep")
+    goals = sweep.make(workspace, columns)
+    return _motion(problem, workspace, sweep, columns, goals, (), None)
+
+
+def _motion(
+    problem: ArmRollouts,
+    workspace: Workspace,
+    kind: Kind,
+    columns: Sequence[int],
+    goals: Array,
+    members: tuple[Candidate, ...],
+    apart: float | None,
+) -> Motion:
+    every = len(columns) == len(workspace.joints)
+    moved = (
+        "all joints" if every else " and ".join(workspace.joints[c] for c in columns)
+    )
+    name = "_".join([kind.name, "all" if every else workspace.joints[columns[0]]])
+    return Motion(
+        name=name,
+        how=kind.how.format(joint=moved),
+        tells_apart=members,
+        separation=apart,
+        commands=_commands(problem, goals),
+        names=problem.log.actuators,
+        fps=round(workspace.rate),
+    )
+
+
+def _commands(problem: ArmRollouts, goals: Array) -> Array:
+    """Return the actuators' goals for joint goals, in the log's order."""
+    model, joints = problem.model, problem.log.joints
+    of = [
+        actuated_joint(model, model.actuator(name).id) for name in problem.log.actuators
+    ]
+    still = np.zeros(len(goals))
+    columns = [goals[:, joints.index(j)] if j in joints else still for j in of]
+    return np.stack(columns, axis=1)
+
+
+def _problem_on(
+    problem: ArmRollouts, workspace: Workspace, goals: Array
+) -> ArmRollouts:
+    """Return the problem of the same robot under other commands."""
+    recording = Recording(
+        "next",
+        workspace.time,
+        position=goals,
+        velocity=np.zeros_like(goals),
+        command=_commands(problem, goals),
+    )
+    log = Log((recording,), problem.log.joints, problem.log.actuators)
+    return ArmRollouts(problem.spec, log, problem.noise, threads=problem.threads)
+
+
+def _candidate(effect: AppliedEffect) -> Candidate:
+    return Candidate(effect.name, effect.target)

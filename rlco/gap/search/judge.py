@@ -1,0 +1,97 @@
+"""Interpret the fits of a search: whether one suffices, ties with another, or is named.
+
+Nothing here fits or simulates.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from rlco.gap.compare.problem import Candidate
+from rlco.gap.search.fit import Library, usual_size
+from rlco.gap.search.setting import Scored, Setting
+from rlco.gap.search.state import State
+from rlco.physics.effects import AppliedEffect
+
+LARGEST = 4  # maximum number of effects
+NEAR_FLOOR = 1.3  # error over the noise floor above which something is missing
+BETTER = 0.03  # share of the held-out error that an effect must remove
+ENOUGH = 0.5  # share of the gap that effects must explain to be named
+QUIET = ("no_gap", "no_improvement", "not_identifiable")
+NAMED = ("named", "ambiguous")
+
+
+def at_bounds(library: Library, effects: Sequence[AppliedEffect]) -> bool:
+    """Return whether a parameter reached its bound: another effect is then likely."""
+    for effect in effects:
+        known = library[Candidate(effect.name, effect.target)]
+        for parameter, value in zip(known, effect.values, strict=True):
+            # A torque limit may be anything up to a hundred times what is there.
+            near = 1e-3 * min(parameter.high - parameter.low, usual_size(parameter))
+            away = abs(value - parameter.neutral) > near
+            low, high = value - parameter.low < near, parameter.high - value < near
+            if away and (low or high):
+                return True
+    return False
+
+
+def is_rival(setting: Setting, best: Scored, one: Scored) -> bool:
+    """Return whether another set explains the data equally well, within uncertainty.
+
+    If both leave more than noise, neither is true, and a small difference between them
+    is less significant.
+    """
+    near = one.error < 1.03 * best.error and best.error > NEAR_FLOOR
+    return near or not setting.better(best, one)
+
+
+def residual_share(none: Scored, best: Scored) -> float:
+    """Return the share of the gap above the noise that a set of effects leaves."""
+    before = max(float(np.mean(none.everything**2)) - 1.0, 1e-9)
+    after = max(float(np.mean(best.everything**2)) - 1.0, 0.0)
+    return min(after / before, 1.0)
+
+
+def kind(state: State) -> str:
+    """Return the verdict of a state, one of those of `Verdict.verdict`."""
+    best, none = state.best, state.none
+    if best.effects and _holds(state):
+        ambiguous = any(rivals.as_good for rivals in state.rivals)
+        return "ambiguous" if ambiguous else "named"
+    if best.effects:
+        return "unexplained" if none.error > NEAR_FLOOR else "no_gap"
+    # A gap in the fitted recordings alone affects the others through the tolerance.
+    heldout = state.setting.heldout_error(none)
+    if none.error > NEAR_FLOOR and heldout > NEAR_FLOOR:
+        return "unexplained"
+    if not state.visible:
+        return "not_identifiable"
+    others = [one for one in state.scores.values() if one.effects]
+    trained = min((one.fit.cost for one in others), default=np.inf)
+    better = trained < (1.0 - BETTER) ** 2 * float(np.mean(none.fit.residual**2))
+    return "no_improvement" if better else "no_gap"
+
+
+def found(state: State) -> Scored:
+    """Return the set of effects that a state names; empty if it names nothing."""
+    return state.best if kind(state) in NAMED else state.none
+
+
+def is_noise(state: State) -> bool:
+    """Return whether the remaining gap is within noise and model tolerance."""
+    one = found(state)
+    near = one.error < NEAR_FLOOR and state.setting.heldout_error(one) < NEAR_FLOOR
+    return near or kind(state) in QUIET
+
+
+def _holds(state: State) -> bool:
+    """Return whether effects explain most of the gap, and help without tolerance."""
+    best, none, setting = state.best, state.none, state.setting
+    if residual_share(none, best) > 1.0 - ENOUGH and best.error > NEAR_FLOOR:
+        return False
+    if at_bounds(setting.library, best.effects):
+        return False
+    before, after = setting.heldout_error(none), setting.heldout_error(best)
+    return after < (1.0 - BETTER) * before

@@ -1,0 +1,1 @@
+"""The steps of a search: each takes a state and returns the next."""

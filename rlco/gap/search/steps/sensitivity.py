@@ -1,0 +1,78 @@
+"""Sensitivity to the model tolerance when effects change it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from rlco.gap.search.fit import linearise
+from rlco.gap.search.setting import Weights, in_noise, moved_by_tolerance
+from rlco.gap.search.state import State
+from rlco.gap.search.whitening import Whitening
+
+GREW = 30.0  # ratio of squared sensitivities from which whitening is repeated
+
+
+def rewhiten(state: State) -> State:
+    """Determine the tolerance's change anew, where effects make the robot sensitive.
+
+    Any small difference decides when a motor that can hardly hold its arm drops it; a
+    stronger motor hides the difference. All previous fits are then discarded, because
+    their whitening was different.
+    """
+    setting, best = state.setting, state.best
+    problem, prior = setting.problem, setting.prior
+    scale = problem.noise[problem.layout.channel]
+    screened = np.isin(problem.layout.recording, state.screened)
+    _, moved = moved_by_tolerance(problem, best.effects, state.screened)
+    after = float(in_noise(moved, prior, scale[screened]).sum())
+    calm = float(setting.calm[screened].sum())
+    state = replace(state, sensitivity=after / calm if calm > 0.0 else 1.0)
+    known = setting.weights.moved[:, screened]
+    before = float(in_noise(known, prior, scale[screened]).sum())
+    if not GREW * before < after < np.inf:
+        return state
+    _, moved = moved_by_tolerance(problem, best.effects)
+    if not np.isfinite(moved).all():
+        return state
+    weights = Weights.of(
+        problem, setting.train, setting.heldout, moved, prior, setting.outliers
+    )
+    fresh = replace(
+        state, setting=replace(setting, weights=weights), scores={}, screenings=()
+    )
+    nothing = linearise(fresh.setting.library, (), fresh.setting.whiten)
+    fresh, _ = fresh.score([nothing])
+    fresh, again = fresh.fit([best.effects])
+    return replace(fresh, best=again[0]) if again else state
+
+
+def tolerance_beside(state: State) -> tuple[State, Whitening]:
+    """Return `Weights.counted_once` with the tolerance's change under the best effects.
+
+    Friction acts in units of the servo's stiffness: an error in stiffness changes the
+    motion of a joint with friction, but not of one without.
+
+    Returns:
+        A state that contains it, and the whitening.
+    """
+    effects = state.best.effects
+    if state.beside is not None and state.beside[0] is effects:
+        return state, state.beside[1]
+    whitening = _beside(state)
+    return replace(state, beside=(effects, whitening)), whitening
+
+
+def _beside(state: State) -> Whitening:
+    setting, effects = state.setting, state.best.effects
+    if not effects or not len(setting.prior):
+        return setting.weights.counted_once
+    problem, layout = setting.problem, setting.problem.layout
+    _, moved = moved_by_tolerance(problem, effects, setting.train)
+    if not np.isfinite(moved).all():
+        return setting.weights.counted_once
+    near = np.isin(layout.recording, setting.train)
+    outliers = setting.outliers and setting.outliers.part(near)
+    scale = problem.noise[layout.channel][near]
+    return Whitening.of(scale, moved, setting.prior, -1, outliers)

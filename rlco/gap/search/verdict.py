@@ -1,0 +1,120 @@
+"""The verdict of a finished search. Nothing is fitted or simulated here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from rlco.gap.compare.problem import (
+    Candidate,
+    Hypothesis,
+    NamedEffect,
+    Value,
+    Verdict,
+)
+from rlco.gap.search.judge import (
+    NAMED,
+    NEAR_FLOOR,
+    QUIET,
+    found,
+    is_noise,
+    kind,
+    residual_share,
+)
+from rlco.gap.search.state import Residual, Rivals, State
+
+LOUD = 3.0  # ratio to the noise floor that the tolerance does not explain either
+DOUBT = "more is missing than what is named, or something else"
+NOTHING_SEARCHED = "Nothing was searched: interrupted before any effect was fitted."
+
+
+def conclude(state: State, *, complete: bool = True, seconds: float = 0.0) -> Verdict:
+    """Return the verdict of a search.
+
+    Args:
+        state: The last state, after the steps `intervals` and `residual`.
+        complete: False where the search was interrupted.
+        seconds: Duration of the search [s].
+
+    Raises:
+        ValueError: One of these steps is missing.
+    """
+    if state.residual is None:
+        raise ValueError("the state lacks its residual: take the steps that close it")
+    named = kind(state) in NAMED
+    effects = _named_effects(state) if named else ()
+    closest = () if named else _closest(state)
+    unexplained = _unexplained(state, state.residual)
+    if not (complete or effects or closest or state.trail):
+        # A share of 1 would suggest that the whole library had been tried in vain.
+        note = f"{NOTHING_SEARCHED} {unexplained['note']}".rstrip()
+        unexplained = {**unexplained, "note": note}
+    return Verdict(
+        complete=complete,
+        verdict=kind(state),
+        effects=effects,
+        gap=state.residual.gap,
+        unexplained=unexplained,
+        closest=closest,
+        seconds=seconds,
+        hypothesis=Hypothesis(found(state).effects),
+        train=state.setting.train,
+        heldout=state.setting.heldout,
+        trail=state.trail,
+    )
+
+
+def _unexplained(state: State, residual: Residual) -> Mapping[str, object]:
+    """Describe the held-out residual, and whether model tolerance may explain it."""
+    setting, best, named = state.setting, found(state), kind(state)
+    after = setting.heldout_error(best)
+    tolerance = (
+        f"parameters that are about {np.max(setting.prior, initial=0.0):.0%} off"
+    )
+    if is_noise(state):
+        note = "nothing beyond the noise"
+        if named in QUIET and after > NEAR_FLOOR:
+            note = f"nothing beyond what the noise and {tolerance} would leave"
+        elif best.effects and not len(setting.prior):
+            note += ", if every other parameter of the model is exact"
+        return {"share": 0.0, "target": None, "note": note}
+    before = max(setting.heldout_error(state.none) ** 2 - 1.0, 1e-9)
+    share = min(max(after**2 - 1.0, 0.0) / before, 1.0) if best.effects else 1.0
+    note = residual.note
+    if best.error < NEAR_FLOOR:
+        note = f"{note}; {tolerance} would leave as much"
+    elif best.effects and after > LOUD:
+        note = f"{note}; {DOUBT}"
+    return {"share": share, "target": residual.target, "note": note}
+
+
+def _named_effects(state: State) -> tuple[NamedEffect, ...]:
+    effects = state.best.effects
+    widths = iter(state.widths)
+    rivals = state.rivals or (Rivals((), {}),) * len(effects)
+    named = []
+    for effect, others in zip(effects, rivals, strict=True):
+        known = state.setting.library[Candidate(effect.name, effect.target)]
+        values = {}
+        for parameter, number in zip(known, effect.values, strict=True):
+            width = next(widths)
+            low = max(parameter.low, number - width)
+            high = min(parameter.high, number + width)
+            values[parameter.name] = Value(number, low, high, parameter.unit)
+        named.append(
+            NamedEffect(
+                effect.name, effect.target, values, others.as_good, others.evidence
+            )
+        )
+    return tuple(named)
+
+
+def _closest(state: State) -> tuple[tuple[Candidate, float], ...]:
+    """Return the single effects that come nearest, with the share each explains."""
+    singles = [one for one in state.scores.values() if len(one.effects) == 1]
+    singles.sort(key=lambda one: one.fit.cost)
+    return tuple(
+        (next(iter(one.names)), 1.0 - residual_share(state.none, one))
+        for one in singles[:5]
+    )

@@ -1,0 +1,308 @@
+"""The whole workflow: from a model and recordings to what the model lacks."""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from rlco.errors import DataError, OutputExistsError
+from rlco.gap.compare.comparisons import (
+    Comparison,
+    chosen,
+    first_lines,
+    warned,
+)
+from rlco.gap.compare.problem import Gap, NamedEffect, Problem, Verdict
+from rlco.gap.compare.torque.check import carried_over, check_gap
+from rlco.gap.compare.torque.convention import torque_problem
+from rlco.gap.compare.torque.held_commands import effort_jumps, warning
+from rlco.gap.compare.torque.torque_log import TorqueLog
+from rlco.gap.correct.corrected_files import write_corrected
+from rlco.gap.correct.servo_files import SERVO_FILES, write_servo
+from rlco.gap.diagnose.record_next import Motion, recommend
+from rlco.gap.diagnose.regimes import Labels, label_regimes
+from rlco.gap.diagnose.traces import FigureData, figure_data
+from rlco.gap.diagnose.where import Where, where
+from rlco.gap.logs import read_log
+from rlco.gap.logs.log import Log
+from rlco.gap.make_problem import (
+    as_compared,
+    compared_in,
+    in_parts,
+    make_problem,
+)
+from rlco.gap.model import LoadedModel, load_model
+from rlco.gap.report.compared import compared_json, comparison_lines
+from rlco.gap.report.report_json import report
+from rlco.gap.report.verdict_text import verdict_lines, where_lines
+from rlco.gap.search.find_gap import find_gap
+from rlco.physics.effects import load_code
+from rlco.runs.whole_files import write_json, write_text
+
+Progress = Callable[[str, float], None]
+
+log = logging.getLogger(__name__)
+
+#: The files that `Finding.write` writes, beside motions to record next.
+FILES = {
+    "report.json": "the verdict for programs",
+    "model.xml": "the model with the effects that MJCF can express",
+    "model.diff": "the changes to the model",
+    "effects.yaml": "all effects, as a domain for make_env(domain=) and training",
+}
+NOTHING_ELSE = (
+    "; there is no model.xml, model.diff or effects.yaml: nothing is searched in a "
+    "simulation that diverges"
+)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What a robot's model lacks, with everything that the report contains.
+
+    Attributes:
+        verdict: The result of the search.
+        where: Where the nominal model disagrees, before any fit.
+        regimes: The regime of each row of each recording.
+        motions: Motions to record next.
+        figures: The data that the report draws.
+        model: The nominal model; for a servo, with the recordings' pendulum.
+        log: The recordings as compared, with notes on what was noticed.
+        seconds: Total run time [s].
+        complete: False where it was interrupted: this is the best so far.
+        comparisons: All comparisons and their results, that of `verdict` first.
+        compared: The same in sentences, with what was left out and why.
+    """
+
+    verdict: Verdict
+    where: Where
+    regimes: tuple[Labels, ...]
+    motions: tuple[Motion, ...]
+    figures: FigureData
+    model: LoadedModel
+    log: Log
+    seconds: float
+    complete: bool
+    comparisons: tuple[Comparison, ...] = ()
+    compared: tuple[str, ...] = ()
+
+    @property
+    def effects(self) -> tuple[NamedEffect, ...]:
+        """The missing effects, with their parameters and rivals."""
+        return self.verdict.effects
+
+    @property
+    def gap(self) -> Gap:
+        """The disagreement before and after."""
+        return self.verdict.gap
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes on what was noticed and corrected in the recordings."""
+        return self.log.notes
+
+    def summary(self) -> list[str]:
+        """Return the verdict in a few lines."""
+        lines = verdict_lines(self.verdict, self.where, self.model.model)
+        return lines + [f"  {line}" for line in comparison_lines(self.comparisons)]
+
+    def write(self, folder: str | Path, *, command: str = "") -> Path:
+        """Write the reports, the corrected model and the motions to record next.
+
+        Args:
+            folder: A folder that is new, or empty.
+            command: The command line, which the report repeats.
+
+        Returns:
+            ``report.html``.
+
+        Raises:
+            OutputExistsError: The folder is not empty.
+        """
+        # matplotlib takes a while to import, which a search need not wait for.
+        from rlco.gap.report.report_html import Page, page
+
+        folder = Path(folder)
+        if folder.exists() and any(folder.iterdir()):
+            raise OutputExistsError(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        rows = [motion.save(folder) for motion in self.motions]
+        content = report(self.verdict, self.where, self.model.model, rows)
+        content |= compared_json(self.comparisons, self.model.model)
+        # First the file for programs, so that no later failure can lose it.
+        write_json(folder / "report.json", content)
+        files = FILES
+        if self.verdict.instability is not None:
+            files = {"report.json": FILES["report.json"] + NOTHING_ELSE}
+        elif self.model.servo is not None:
+            write_servo(self.model, self.verdict, folder)
+            files = FILES | SERVO_FILES
+        else:
+            write_corrected(self.model, self.verdict, folder)
+        source = Page(
+            self.verdict,
+            self.figures,
+            self.log,
+            rows,
+            command,
+            files,
+            self.comparisons,
+            self.compared,
+            self.model.model,
+        )
+        write_text(folder / "report.html", page(source))
+        return folder / "report.html"
+
+
+def run_gap(
+    model: str | Path,
+    data: str | Path,
+    *,
+    rename: Mapping[str, str] | None = None,
+    angles: str | None = None,
+    spread: float = 0.03,
+    effects_code: str | Path | None = None,
+    exclude: Collection[str] = (),
+    compare: str | None = None,
+    threads: int = 2,
+    progress: Progress | None = None,
+) -> Finding:
+    """Identify what a robot's model lacks from recordings of the robot.
+
+    Nothing is written; use `Finding.write`. Ctrl-C ends the search and returns the best
+    result so far.
+
+    Args:
+        model: MJCF file, URDF, ``robosuite:TASK``, or ``bam:SERVO``.
+        data: Recordings, see `read_log`.
+        rename: ``{name in the data: name in the model}``.
+        angles: ``degrees`` or ``radians``; None to infer it from their size.
+        spread: Tolerance of every parameter of the model, relative; a servo's own
+            parameters are fitted.
+        effects_code: A Python file that registers effects of your own.
+        exclude: Names of effects that are not considered.
+        compare: ``positions`` under the recorded commands, measured ``torques``, or
+            ``both``, each in a search of its own. None compares positions where there
+            are commands, and checks the named effects against torques; without
+            commands it compares torques.
+        threads: Number of parallel simulations.
+        progress: Called with a sentence and the fraction done, from 0 to 1.
+
+    Raises:
+        RlcoError: The model, the recordings or the options cannot be used.
+
+    Example:
+        >>> finding = run_gap("arm.xml", "logs")  # doctest: +SKIP
+        >>> finding.verdict.verdict, finding.effects[0].name  # doctest: +SKIP
+        ('named', 'coulomb_friction')
+        >>> finding.write("gap_report")  # doctest: +SKIP
+        PosixPath('gap_report/report.html')
+    """
+    began = time.perf_counter()
+    say = progress or (lambda said, part: None)
+    load_code(effects_code)
+    loaded = load_model(model)
+    recordings = read_log(data, loaded, rename=rename, angles=angles)
+    asked, beside = chosen(recordings, compare)
+    problem = make_problem(loaded, recordings, threads=threads, compare=asked)
+    used = compared_in(problem)
+    # A servo's bench judges its own channels beside positions: volts, current.
+    beside = beside if used == asked and loaded.servo is None else None
+    both = compare == "both" and beside is not None
+    compared = first_lines(recordings, used, beside, both)
+    for line in compared:
+        log.info("%s", line)
+    for note in problem.log.notes:
+        log.info("note: %s", note)
+    labels = label_regimes(problem)
+    before = where(problem, labels=labels)
+    for line in where_lines(before):
+        log.info("%s", line)
+    parts = 2.0 if both else 1.0
+    verdict = find_gap(
+        problem,
+        spread=spread,
+        exclude=exclude,
+        on_step=lambda said, part: say(said, part / parts),
+    )
+    comparisons = [warned(Comparison(used, verdict, verdict.gap), _warning(problem))]
+    motions, complete = _to_record_next(problem, verdict, say)
+    if complete and beside is not None and verdict.instability is None:
+        options = {"spread": spread, "exclude": exclude} if both else None
+        other, complete = _beside(loaded, recordings, verdict, options, say)
+        comparisons.append(other)
+    say("preparing the figures", 1.0)
+    figures = figure_data(problem, verdict, before, labels)
+    return Finding(
+        verdict=verdict,
+        where=before,
+        regimes=tuple(labels),
+        motions=motions,
+        figures=figures,
+        model=as_compared(loaded, problem),
+        log=problem.log,
+        seconds=time.perf_counter() - began,
+        complete=complete,
+        comparisons=tuple(comparisons),
+        compared=tuple(compared),
+    )
+
+
+def _to_record_next(
+    problem: Problem, verdict: Verdict, say: Progress
+) -> tuple[tuple[Motion, ...], bool]:
+    """Return motions to record next, and whether the search for them completed."""
+    if not verdict.complete or verdict.instability is not None:
+        return (), verdict.complete
+    say("looking for more informative motions", 1.0)
+    try:
+        return tuple(recommend(problem, verdict)), True
+    except KeyboardInterrupt:
+        return (), False
+
+
+def _beside(
+    loaded: LoadedModel,
+    log: Log,
+    verdict: Verdict,
+    options: Mapping[str, Any] | None,
+    say: Progress,
+) -> tuple[Comparison, bool]:
+    """Return the comparison of torques, and whether it completed.
+
+    Args:
+        loaded: The model.
+        log: The recordings.
+        verdict: The result for positions.
+        options: Those of a search by torques; None only checks `verdict`.
+        say: Called with the progress.
+    """
+    say("comparing torques", 0.5 if options else 1.0)
+    try:
+        problem = torque_problem(loaded.spec, in_parts(log))
+    except DataError as error:
+        if options:
+            raise
+        return Comparison("torques", notes=(str(error),)), True
+    notes = tuple(note for note in problem.log.notes if note not in log.notes)
+    if options:
+        found = find_gap(
+            problem,
+            **options,
+            on_step=lambda said, part: say(said, 0.5 + part / 2.0),
+        )
+        second = Comparison("torques", found, found.gap, notes)
+        return warned(second, _warning(problem)), found.complete
+    gap = check_gap(problem, carried_over(verdict.hypothesis))
+    check = Comparison("torques", None, gap, notes)
+    return warned(check, _warning(problem)), True
+
+
+def _warning(problem: Problem) -> str | None:
+    """Return why a problem's measurements should name nothing; None if they may."""
+    jumps = effort_jumps(problem) if isinstance(problem, TorqueLog) else None
+    return None if jumps is None else warning(jumps)

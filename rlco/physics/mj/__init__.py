@@ -1,0 +1,1 @@
+"""MuJoCo's C functions and structs, callable without the GIL."""

@@ -1,0 +1,128 @@
+"""The C struct behind an `MjModel`: models that share all but a few arrays.
+
+A compiled model with a robot's visual meshes takes 64 MB, so N worlds that differ only
+in a mass need something smaller than N models. MuJoCo's functions access every array
+through a pointer in the struct. A copy of the struct alone (some ten kilobytes) with a
+few pointers replaced is a complete model for them.
+
+The layout is the one described by the ``mujoco`` package itself
+(``mujoco.introspect``), and is checked against the package's own arrays.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import functools
+from typing import Any
+
+import mujoco
+import numpy as np
+from mujoco.introspect import ast_nodes, structs
+from numpy.typing import NDArray
+
+from rlco.errors import RlcoError
+from rlco.physics.mj.libmujoco import address_of
+
+_SCALARS: dict[str, Any] = {
+    "mjtNum": ctypes.c_double,
+    "mjtSize": ctypes.c_int64,
+    "uint64_t": ctypes.c_uint64,
+    "float": ctypes.c_float,
+    "int": ctypes.c_int,
+}
+
+
+def _type_of(node: Any) -> Any:
+    if isinstance(node, ast_nodes.PointerType):
+        return ctypes.c_void_p
+    if isinstance(node, ast_nodes.ArrayType):
+        return _type_of(node.inner_type) * int(np.prod(node.extents))
+    if isinstance(node, ast_nodes.AnonymousStructDecl):
+        return _struct("anonymous", node.fields)
+    if node.name in structs.STRUCTS:
+        return _struct(node.name, structs.STRUCTS[node.name].fields)
+    return _SCALARS[node.name]
+
+
+def _struct(name: str, fields: Any) -> Any:
+    members = [(field.name, _type_of(field.type)) for field in fields]
+    return type(name, (ctypes.Structure,), {"_fields_": members})
+
+
+@functools.cache
+def model_type() -> Any:
+    """Return ``mjModel`` as a ctypes structure."""
+    return _type_of(ast_nodes.ValueType("mjModel"))
+
+
+@functools.cache
+def array_fields() -> tuple[str, ...]:
+    """Return the names of the numeric arrays that a copy may have of its own.
+
+    Meshes, textures, height fields and names take most of the memory, and are shared.
+    """
+    shared = ("mesh_", "tex_", "hfield_", "skin_", "bvh_", "oct_", "name", "text_")
+    return tuple(
+        field.name
+        for field in structs.STRUCTS["mjModel"].fields
+        if isinstance(field.type, ast_nodes.PointerType)
+        and not field.name.startswith((*shared, "paths"))
+        and isinstance(getattr(mujoco.MjModel, field.name, None), property)
+        and field.type.inner_type.name != "void"
+    )
+
+
+class ModelCopy:
+    """A model's struct, with its own arrays where `set_array` was called.
+
+    Args:
+        model: The model whose other arrays it shares; kept alive by it.
+
+    Raises:
+        RlcoError: If the installed MuJoCo has another struct layout.
+    """
+
+    def __init__(self, model: mujoco.MjModel) -> None:
+        self._model = model
+        kind = model_type()
+        self._struct = kind()
+        ctypes.memmove(ctypes.byref(self._struct), model._address, ctypes.sizeof(kind))
+        self.arrays: dict[str, NDArray[Any]] = {}
+        if self._struct.signature != model.signature or any(
+            getattr(model, name).size
+            and getattr(self._struct, name) != address_of(getattr(model, name))
+            for name in ("body_mass", "geom_friction", "qpos0", "actuator_gainprm")
+        ):
+            raise RlcoError(
+                f"MuJoCo {mujoco.__version__} has another layout of mjModel than its "
+                "mujoco.introspect says; install mujoco>=3.9,<3.10."
+            )
+
+    @property
+    def address(self) -> int:
+        """Address of the struct."""
+        return ctypes.addressof(self._struct)
+
+    def set_array(self, name: str, value: NDArray[Any]) -> None:
+        """Give the copy its own array of that name, with this value."""
+        if name not in self.arrays:
+            self.arrays[name] = getattr(self._model, name).copy()
+            setattr(self._struct, name, address_of(self.arrays[name]))
+        self.arrays[name][:] = value
+
+    def take_statistics(self, model: mujoco.MjModel) -> None:
+        """Adopt another model's statistics, which scale MuJoCo's solver."""
+        self._struct.stat = model_type().from_address(model._address).stat
+
+    def give_statistics(self, model: mujoco.MjModel) -> None:
+        """Write the copy's statistics into a whole model."""
+        model_type().from_address(model._address).stat = self._struct.stat
+
+
+def reserve_memory(model: mujoco.MjModel, size: int) -> None:
+    """Set the memory that a state of this model reserves for its contacts [bytes].
+
+    robosuite reserves 1.3 GB, and needs less than one megabyte of it.
+    """
+    ModelCopy(model)  # checks the layout
+    model_type().from_address(model._address).narena = size

@@ -1,0 +1,1 @@
+"""N worlds of one model stepped in threads, without robosuite's Python."""

@@ -1,0 +1,284 @@
+"""N worlds of one compiled model under one controller, stepped in threads."""
+
+from __future__ import annotations
+
+import copy
+import os
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rlco.physics.mj.libmujoco import address_of
+from rlco.physics.mj.model_struct import ModelCopy, array_fields, reserve_memory
+from rlco.physics.native.world_checks import (
+    check_threads,
+    checked_delay,
+    checked_fields,
+    checked_gains,
+    checked_worlds,
+)
+from rlco.physics.native.world_memory import FIELDS, Memory
+from rlco.physics.spec.control import Array, Control, Integers
+
+RESERVED = 16 << 20  # address space for each world's contacts [bytes]
+
+
+class Worlds:
+    """N states of a model, each with its own model where it differs.
+
+    Args:
+        model: The compiled model; copied.
+        control: The arm's controller.
+        gains: Stiffness and damping of the controller, each shape (D,).
+        num_envs: Number of worlds N.
+        threads: Python threads; by default one per core, at most `num_envs`.
+        longest_delay: Maximum delay in control steps, beyond that of `control`.
+        controller_model: The controller's own model, where it is another.
+
+    Raises:
+        RlcoError: If `threads` is less than 1.
+    """
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        control: Control,
+        gains: tuple[Array, Array],
+        *,
+        num_envs: int,
+        threads: int | None,
+        longest_delay: int = 0,
+        controller_model: mujoco.MjModel | None = None,
+    ) -> None:
+        check_threads(threads)
+        self.control = control
+        self.num_envs = num_envs
+        self.model = _own(model)
+        self.data = [mujoco.MjData(self.model) for _ in range(num_envs)]
+        fields = observed = _addresses(self.data)
+        self.observed = self.data
+        if controller_model is not None:
+            self._controller_model = _own(controller_model)
+            self.observed = [
+                mujoco.MjData(self._controller_model) for _ in range(num_envs)
+            ]
+            observed = _addresses(self.observed)
+            acting = control.acting._replace(
+                controller_model=self._controller_model._address
+            )
+            self.control = control._replace(acting=acting)
+        fingers, pending = (
+            control.finger_ctrl.size,
+            longest_delay + control.acting.whole,
+        )
+        self.memory = Memory(
+            models=np.full(num_envs, self.model._address, dtype=np.int64),
+            fields=fields,
+            observed=observed,
+            posture=np.zeros((num_envs, control.arm_dof.size)),
+            grip=np.zeros((num_envs, fingers)),
+            stiffness=np.tile(gains[0], (num_envs, 1)),
+            damping=np.tile(gains[1], (num_envs, 1)),
+            delay=np.zeros(num_envs, dtype=np.int64),
+            pending=np.zeros((num_envs, pending, control.action_size)),
+            broken=np.zeros(num_envs, dtype=np.bool_),
+            fresh=np.zeros(num_envs, dtype=np.bool_),
+            first_mass=np.zeros((num_envs, control.arm_dof.size, control.arm_dof.size)),
+            first_jacobian=np.zeros((num_envs, 6, control.arm_dof.size)),
+            goal=np.zeros((num_envs, max(3, control.inputs.shape[1]))),
+            goal_rotation=np.zeros((num_envs, 3, 3)),
+            clock=np.zeros(num_envs, dtype=np.int64),
+            action=np.zeros((num_envs, control.inputs.shape[1] + 1)),
+            unread=np.zeros(num_envs, dtype=np.bool_),
+            ctrl=np.zeros((num_envs, control.nu)),
+            friction=np.zeros(num_envs, dtype=np.int64),
+            coulomb=np.zeros((num_envs, control.nv)),
+        )
+        self._models: dict[int, ModelCopy] = {}
+        self.restore_models(np.arange(num_envs))
+        self._compiler: tuple[mujoco.MjModel, mujoco.MjData] | None = None
+        self._compiled_arrays: set[str] = set()
+        count = min(threads or os.cpu_count() or 1, num_envs)
+        self._pool = ThreadPoolExecutor(count) if count > 1 else None
+        # Several ranges per thread: worlds in contact take longer than others.
+        parts = min(num_envs, 4 * count) if count > 1 else 1
+        edges = np.linspace(0, num_envs, parts + 1).astype(int)
+        self._ranges = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+
+    def run(self, kernel: Callable[..., None], *arguments: Any) -> None:
+        """Run a compiled loop over all worlds, in threads."""
+        if self._pool is None:
+            kernel(0, self.num_envs, *arguments)
+            return
+        jobs = [self._pool.submit(kernel, *r, *arguments) for r in self._ranges]
+        for job in jobs:
+            job.result()
+
+    def forget(self, which: Integers) -> None:
+        """Drop pending commands and divergences of the worlds `which`."""
+        memory = self.memory
+        memory.pending[which] = memory.action[which] = 0.0
+        memory.broken[which] = memory.unread[which] = False
+        memory.clock[which] = 0
+        if self.control.acting.forces.friction.rows.size:
+            for number in which.tolist():
+                self._models[number].set_array(
+                    "dof_frictionloss", memory.coulomb[number]
+                )
+
+    # -- Differences between worlds ----------------------------------------------
+
+    def randomise(
+        self,
+        which: Integers | Sequence[int],
+        fields: Mapping[str, NDArray[Any]] | None = None,
+        *,
+        stiffness: NDArray[Any] | float | None = None,
+        damping: NDArray[Any] | float | None = None,
+        command_delay: NDArray[Any] | int | None = None,
+    ) -> None:
+        """Change only the worlds `which`, until changed again.
+
+        Args:
+            which: Indices of worlds, shape (R,), each once.
+            fields: Arrays of the model by MuJoCo's name (``body_mass``), of the
+                model's shape, or with a leading axis (R,) of one value per world; those
+                of `world_checks.PATCHABLE`. Quantities that MuJoCo derives from them
+                (``mj_setConst``) are updated.
+            stiffness: The controller's: a number, one per world (R,), or one per axis,
+                broadcast to (R, D). Damping keeps its ratio to critical damping where
+                it is not given.
+            damping: The controller's, in the same shapes.
+            command_delay: Control steps between a command and its execution,
+                broadcast to (R,); pending commands are dropped.
+
+        Raises:
+            RlcoError: If a name, a shape or a value is not allowed; nothing has
+                changed then.
+        """
+        # Everything is checked before anything changes.
+        rows = checked_worlds(which, self.num_envs)
+        count, axes = rows.size, self.memory.stiffness.shape[1]
+        values = checked_fields(self.model, fields or {}, count)
+        stiff = checked_gains("stiffness", stiffness, count, axes, zero=False)
+        damp = checked_gains("damping", damping, count, axes, zero=True)
+        delay = checked_delay(command_delay, count)
+        if values:
+            self.patch_model(rows, values, derive=True)
+        self._set_gains(rows, stiff, damp)
+        if delay is not None:
+            self._set_delay(rows, delay)
+
+    def patch_model(
+        self, which: Integers, values: Mapping[str, NDArray[Any]], *, derive: bool
+    ) -> None:
+        """Give the worlds `which` their own values of arrays of the model, unchecked.
+
+        Args:
+            which: Indices of worlds, shape (R,).
+            values: Arrays by MuJoCo's name, of the model's shape with a leading axis
+                (R,).
+            derive: Recompute quantities that MuJoCo derives from masses and the like
+                (``mj_setConst``).
+        """
+        for row, number in enumerate(which.tolist()):
+            own = self._own_model(number)
+            for name, value in values.items():
+                own.set_array(name, value[row])
+                if name == "dof_frictionloss":
+                    self.memory.coulomb[number] = own.arrays[name]
+            if derive:
+                self._derive(own)
+
+    def model_of(self, number: int) -> mujoco.MjModel:
+        """Return one world's model for MuJoCo's Python functions.
+
+        It is valid until the next call; the common model if the world has no other.
+        """
+        if number not in self._models:
+            return self.model
+        return self._compiled(self._models[number])[0]
+
+    def _set_gains(
+        self, which: Integers, stiffness: Array | None, damping: Array | None
+    ) -> None:
+        """Set the controller's gains; damping keeps its ratio where it is not given."""
+        memory = self.memory
+        if stiffness is not None:
+            ratio = memory.damping[which] / np.sqrt(memory.stiffness[which])
+            memory.stiffness[which] = stiffness
+            memory.damping[which] = ratio * np.sqrt(stiffness)
+        if damping is not None:
+            memory.damping[which] = damping
+
+    def _set_delay(self, which: Integers, delay: Integers) -> None:
+        """Set the command delay [control steps]; pending commands are dropped."""
+        longest = max(int(delay.max(initial=0)), self.memory.pending.shape[1])
+        pending = np.zeros((self.num_envs, longest, self.control.action_size))
+        pending[:, : self.memory.pending.shape[1]] = self.memory.pending
+        pending[which] = 0.0
+        self.memory = self.memory._replace(pending=pending)
+        self.memory.delay[which] = delay - self.control.acting.whole
+
+    def restore_models(self, which: Integers) -> None:
+        """Restore the common model of the worlds `which`."""
+        for number in which.tolist():
+            self.memory.models[number] = self.model._address
+            self._models.pop(number, None)
+            if self.control.acting.forces.friction.rows.size:
+                # Friction that changes from step to step is a world's own.
+                own = self._own_model(number)
+                own.set_array("dof_frictionloss", self.model.dof_frictionloss)
+                friction = own.arrays["dof_frictionloss"]
+                self.memory.friction[number] = address_of(friction)
+                self.memory.coulomb[number] = friction
+
+    def _own_model(self, number: int) -> ModelCopy:
+        if number not in self._models:
+            self._models[number] = ModelCopy(self.model)
+            self.memory.models[number] = self._models[number].address
+        return self._models[number]
+
+    def _compiled(self, own: ModelCopy) -> tuple[mujoco.MjModel, mujoco.MjData]:
+        """Return a complete model with a world's arrays, and data to compute with."""
+        if self._compiler is None:
+            model = copy.copy(self.model)
+            self._compiler = model, mujoco.MjData(model)
+        model = self._compiler[0]
+        for name in self._compiled_arrays - set(own.arrays):
+            getattr(model, name)[:] = getattr(self.model, name)
+        for name, value in own.arrays.items():
+            getattr(model, name)[:] = value
+        own.give_statistics(model)
+        self._compiled_arrays = set(own.arrays)
+        return self._compiler
+
+    def _derive(self, own: ModelCopy) -> None:
+        model, data = self._compiled(own)
+        mujoco.mj_setConst(model, data)
+        for name in array_fields():
+            value = getattr(model, name)
+            changed = not np.array_equal(value, getattr(self.model, name))
+            if changed or name in own.arrays:  # or it was changed before
+                own.set_array(name, value)
+        self._compiled_arrays = set(own.arrays)
+        own.take_statistics(model)
+
+
+def _own(model: mujoco.MjModel) -> mujoco.MjModel:
+    """Return a copy of a model that keeps diverged states and stores little."""
+    own: mujoco.MjModel = copy.copy(model)
+    # Diverged states must stay visible instead of being reset.
+    own.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
+    reserve_memory(own, min(RESERVED, own.narena))
+    return own
+
+
+def _addresses(data: list[mujoco.MjData]) -> Integers:
+    """Return the addresses of each state and its arrays, (N, 1 + FIELDS)."""
+    rows = [[d._address, *(address_of(getattr(d, n)) for n in FIELDS)] for d in data]
+    return np.array(rows, dtype=np.int64)

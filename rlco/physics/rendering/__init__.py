@@ -1,0 +1,1 @@
+"""Camera images of a model, rendered off screen."""

@@ -1,0 +1,1 @@
+"""The simulated system as data: tasks, domains, observations, controllers."""

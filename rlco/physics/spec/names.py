@@ -1,0 +1,10 @@
+"""Names that files and options use: tasks, and dimensions of states and actions."""
+
+from __future__ import annotations
+
+from rlco.physics.spec.robot import PANDA
+
+#: rlco's own tasks: each is the module of that name in `rlco.physics.tasks`, with TASK.
+TASK_NAMES = ("push_cube", "pick_and_place", "open_drawer", "close_drawer")
+# Of the robot that all of them use; a task's own are `state_names`, `action_names`.
+STATE_NAMES, ACTION_NAMES = PANDA.state_names, PANDA.action_names

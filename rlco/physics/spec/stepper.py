@@ -1,0 +1,83 @@
+"""The interface of backends: N worlds of a task, stepped by chunks of actions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from rlco.errors import RlcoError
+from rlco.physics.spec.task import Array, InitialState, SceneState
+
+OnDivergence = Literal["raise", "mark"]
+# Values beyond this are as invalid as NaN, as in MuJoCo (its mjMAXVAL).
+TOO_LARGE = 1e10
+
+
+class Stepper(Protocol):
+    """A backend: N worlds of a task's model."""
+
+    @property
+    def model(self) -> mujoco.MjModel:
+        """The compiled model."""
+
+    def model_of(self, number: int) -> mujoco.MjModel:
+        """Return one world's own model; valid until the next call."""
+
+    @property
+    def data(self) -> Sequence[object]:
+        """MuJoCo's state of each world."""
+
+    @property
+    def diverged(self) -> NDArray[np.bool_]:
+        """Mask of the worlds that have diverged since their reset, shape (N,)."""
+
+    def reset(
+        self, initial: list[InitialState], which: NDArray[np.int64] | None = None
+    ) -> SceneState:
+        """Start episodes in the worlds `which`; return all states, (N,)."""
+
+    def step(
+        self, actions: Array, steps: NDArray[np.int64] | None = None
+    ) -> SceneState:
+        """Execute chunks (N, H, A); return states (N, H + 1)."""
+
+    def reported_state(self) -> SceneState:
+        """Return the current state as the robot's encoders report it, (N,)."""
+
+
+@dataclass(frozen=True)
+class BatchStep:
+    """The result of one action chunk in N worlds.
+
+    Attributes:
+        observations: robosuite's, by name, each shape (N, K).
+        reward: Of each control step, shape (N, H); 0 where none was executed.
+        success: robosuite's check of the current state, shape (N,).
+        diverged: Mask of the worlds that have diverged since their reset, shape (N,).
+    """
+
+    observations: dict[str, Array]
+    reward: Array
+    success: NDArray[np.bool_]
+    diverged: NDArray[np.bool_]
+
+
+def check_actions(actions: Array) -> None:
+    """Refuse action chunks (N, H, A) that contain NaN or infinity.
+
+    MuJoCo would warn, command zero torques and continue.
+
+    Raises:
+        RlcoError: If a value is not finite.
+    """
+    bad = np.flatnonzero(~np.isfinite(actions).all(axis=(1, 2)))
+    if bad.size:
+        raise RlcoError(
+            f"the actions of environments {bad.tolist()} are NaN or infinite; check "
+            "the policy that produces them."
+        )

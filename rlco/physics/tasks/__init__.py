@@ -1,0 +1,1 @@
+"""rlco's own tasks: scenes, rewards, scripted experts; and tasks by name."""

@@ -1,0 +1,162 @@
+"""Observations, normalised and encoded, as one feature vector."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from numpy.typing import ArrayLike
+from tensordict import TensorDictBase
+from torch import nn
+from torch.nn import functional
+
+from rlco.errors import ConfigError, DataError
+from rlco.keys import ENVIRONMENT_STATE, IMAGE, INSTRUCTION_ID, STATE
+from rlco.policies.nets.image_encoder import ImageArguments, ImageEncoder
+from rlco.policies.nets.normalizer import QuantileNormalizer
+
+#: The lower and the upper quantile of some features, a number each.
+Quantiles = tuple[ArrayLike, ArrayLike]
+
+#: A feature that moved less than this in the data [m] or [rad] is not magnified more.
+MIN_OBSERVATION_RANGE = 0.02
+#: Normalised observations end here: values beyond occur in no demonstration.
+OBSERVATION_CLIP = 10.0
+
+
+def read(tensordict: TensorDictBase, key: str | tuple[str, ...]) -> torch.Tensor:
+    """Return an entry, or say which one is missing.
+
+    Raises:
+        DataError: the entry is not there.
+    """
+    value = tensordict.get(key, None)
+    if value is None:
+        held = sorted(map(str, tensordict.keys(include_nested=True, leaves_only=True)))
+        raise DataError(f"the batch has no {key!r}; it holds {', '.join(held)}.")
+    tensor: torch.Tensor = value
+    return tensor
+
+
+class ObservationEncoder(nn.Module):
+    """State, object poses, image and instruction, normalised and concatenated.
+
+    Where object poses and an instruction are read, the poses follow once more for each
+    instruction, all zero but for the given one (the outer product of both). Which
+    object counts is then a matter of weights: without it, a few demonstrations hardly
+    teach a perceptron to pick one object out of three. What an image shows is treated
+    like the poses.
+
+    Args:
+        state_size: numbers in ``("observation", "state")``; 0 leaves it unread.
+        environment_state_size: numbers in ``("observation", "environment_state")``;
+            0 leaves it unread.
+        num_instructions: how many instructions there are; ``instruction_id`` is read
+            one-hot. 0 leaves it unread.
+        image: how ``("observation", "image")`` is read, see
+            `rlco.policies.ImageArguments`; None leaves it unread.
+
+    Attributes:
+        in_keys: the entries that it reads.
+        size: dimension of the feature vector.
+        image: the encoder of images; None where they are not read.
+
+    Raises:
+        ConfigError: nothing to read, or a negative size.
+        CheckpointError: the image encoder's weights cannot be loaded.
+
+    Example:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> encoder = ObservationEncoder(2, num_instructions=3)
+        >>> td = TensorDict(
+        ...     {"observation": {"state": torch.tensor([[0.5, -1.0]])},
+        ...      "instruction_id": torch.tensor([1])}, [1])
+        >>> encoder(td)
+        tensor([[ 0.5000, -1.0000,  0.0000,  1.0000,  0.0000]])
+    """
+
+    def __init__(
+        self,
+        state_size: int,
+        environment_state_size: int = 0,
+        num_instructions: int = 0,
+        image: ImageArguments | None = None,
+    ) -> None:
+        super().__init__()
+        sizes = (state_size, environment_state_size, num_instructions)
+        if min(sizes) < 0 or (sum(sizes) == 0 and image is None):
+            raise ConfigError(
+                [
+                    "state_size, environment_state_size and num_instructions are "
+                    f"{sizes}; none may be negative and one must be positive"
+                ]
+            )
+        self.in_keys: list[Any] = []
+        self.state = self._normalizer("state", STATE, state_size)
+        self.environment_state = self._normalizer(
+            "environment_state", ENVIRONMENT_STATE, environment_state_size
+        )
+        self.image = ImageEncoder(**image) if image is not None else None
+        if self.image is not None:
+            self.in_keys.append(IMAGE)
+        self.num_instructions = num_instructions
+        if num_instructions:
+            self.in_keys.append(INSTRUCTION_ID)
+        # Of the objects: what there is once more for each instruction.
+        seen = environment_state_size + (self.image.features if self.image else 0)
+        self.size = state_size + num_instructions + seen * (1 + num_instructions)
+
+    def _normalizer(
+        self, name: str, key: tuple[str, ...], size: int
+    ) -> QuantileNormalizer | None:
+        if not size:
+            return None
+        self.in_keys.append(key)
+        return QuantileNormalizer(
+            size, name=name, min_range=MIN_OBSERVATION_RANGE, clip=OBSERVATION_CLIP
+        )
+
+    def set_normalization(
+        self,
+        *,
+        state: Quantiles | None = None,
+        environment_state: Quantiles | None = None,
+    ) -> None:
+        """Fix the normalisation from quantiles (low, high) of the training data.
+
+        Raises:
+            DataError: quantiles of what is not read, or of another size.
+        """
+        for name, quantiles, normalizer in (
+            ("state", state, self.state),
+            ("environment_state", environment_state, self.environment_state),
+        ):
+            if quantiles is None:
+                continue
+            if normalizer is None:
+                raise DataError(
+                    f"quantiles of {name} were given, but the policy was built with "
+                    f"{name}_size=0; leave them out or build it with their size."
+                )
+            normalizer.set_quantiles(*quantiles)
+
+    def forward(self, tensordict: TensorDictBase) -> torch.Tensor:
+        """Return the features [*B, size]; float32, or float64 where inputs are."""
+        parts, seen = [], []
+        if self.state is not None:
+            parts.append(self.state(read(tensordict, STATE)))
+        if self.environment_state is not None:
+            seen.append(self.environment_state(read(tensordict, ENVIRONMENT_STATE)))
+        if self.image is not None:
+            seen.append(self.image(read(tensordict, IMAGE)))
+        parts += seen
+        if self.num_instructions:
+            chosen = read(tensordict, INSTRUCTION_ID)
+            dtype = parts[0].dtype if parts else torch.get_default_dtype()
+            one_hot = functional.one_hot(chosen, self.num_instructions).to(dtype)
+            parts += [
+                (one_hot.unsqueeze(-1) * one.unsqueeze(-2)).flatten(-2) for one in seen
+            ]
+            parts.append(one_hot)
+        return torch.cat(parts, dim=-1)

@@ -1,0 +1,229 @@
+"""Camera frames as feature vectors: a small network of its own, or MobileNetV2's."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Literal, NotRequired, TypedDict, get_args
+
+import torch
+from torch import nn
+
+from rlco.errors import ConfigError, DataError, UnknownNameError
+from rlco.policies.nets.mobilenet import MobileNetMaps
+
+ImageKind = Literal["conv", "mobilenet"]
+IMAGE_KINDS: tuple[str, ...] = get_args(ImageKind)
+#: Least and greatest side of an image [pixels].
+SIDES = (64, 224)
+#: Places that an encoder reports; features are three times as many.
+POINTS = 32
+#: Logits of places in a new encoder, in units of a channel's deviation over places.
+SHARPNESS = 3.0
+
+
+class ImageArguments(TypedDict):
+    """How a policy sees, in types that JSON holds.
+
+    Attributes:
+        kind: "conv" or "mobilenet".
+        size: height and width of an image [pixels], each within ``SIDES``.
+        weights: mobilenet: file of torchvision's ImageNet weights; "saved": those in
+            the policy's own file, which is loaded next.
+        frozen: mobilenet: whether its weights stay as they are; by default they do.
+    """
+
+    kind: ImageKind
+    size: Sequence[int]
+    weights: NotRequired[str | None]
+    frozen: NotRequired[bool]
+
+
+class SpatialSoftmax(nn.Module):
+    """Where each channel of a map is brightest, and how bright it is there.
+
+    Each channel becomes a distribution over places (softmax); its features are the
+    mean place, x and y in [-1, 1] from left to right and from above to below, and the
+    mean of the channel itself (Levine et al., arXiv 1504.00702).
+
+    Args:
+        sharpness: maps are multiplied by it to be logits.
+
+    Example:
+        >>> one = torch.zeros(1, 1, 3, 3)
+        >>> one[0, 0, 0, 2] = 50.0  # above, on the right
+        >>> SpatialSoftmax()(one)
+        tensor([[ 1., -1., 50.]])
+    """
+
+    def __init__(self, sharpness: float = 1.0) -> None:
+        super().__init__()
+        self.sharpness = sharpness
+
+    def forward(self, maps: torch.Tensor) -> torch.Tensor:
+        """Return features [B, 3 C] of maps [B, C, h, w]: all x, all y, all values."""
+        share = (self.sharpness * maps).flatten(-2).softmax(-1).view_as(maps)
+        height, width = maps.shape[-2:]
+
+        def side(length: int) -> torch.Tensor:
+            return torch.linspace(-1, 1, length, dtype=maps.dtype, device=maps.device)
+
+        x = share.sum(-2) @ side(width)
+        y = share.sum(-1) @ side(height)
+        value = (share * maps).sum((-2, -1))
+        return torch.cat([x, y, value], -1)
+
+
+class ConvMaps(nn.Module):
+    """Three convolutions, about 16 places a side whatever the image's size.
+
+    Args:
+        size: height and width of an image [pixels].
+
+    Attributes:
+        channels: of the map that it returns.
+    """
+
+    channels = 32
+
+    def __init__(self, size: tuple[int, int]) -> None:
+        super().__init__()
+        stride = min(size) // 32
+        self.layers = nn.Sequential(
+            nn.Conv2d(3, 16, 2 * stride, stride=stride, padding=stride // 2),
+            nn.SiLU(),
+            nn.Conv2d(16, 32, 3, stride=2, padding=1),
+            nn.SiLU(),
+            nn.Conv2d(32, self.channels, 3, padding=1),
+            nn.SiLU(),
+        )
+
+    def forward(self, images: torch.Tensor) -> list[torch.Tensor]:
+        """Return one map [B, 32, about 16, about 16] of images in [0, 1]."""
+        return [self.layers(2.0 * images - 1.0)]
+
+
+class ImageEncoder(nn.Module):
+    """Images to features: maps of a network, and where each channel is brightest.
+
+    No part of it remembers a batch, and nothing is drawn at random: an image has the
+    same features in a rollout and in an update, so that PPO's ratios start at 1. It
+    computes in the precision of its weights and returns at least float32.
+
+    - "conv" learns from the demonstrations alone: three convolutions, 16 thousand
+      parameters at 64 x 64.
+    - "mobilenet" starts from MobileNetV2 (Sandler et al., arXiv 1801.04381) trained
+      on ImageNet, frozen by default; what is learned is which combinations
+      of its channels count.
+
+    Args:
+        kind: "conv" or "mobilenet".
+        size: height and width of an image [pixels].
+        weights: see `ImageArguments`.
+        frozen: see `ImageArguments`.
+
+    Attributes:
+        size: height and width of an image.
+        features: dimension of an image's feature vector.
+
+    Raises:
+        UnknownNameError: no such kind.
+        ConfigError: a size that is not allowed, or mobilenet without weights.
+        CheckpointError: weights that cannot be read or are another network's.
+
+    Example:
+        >>> encoder = ImageEncoder("conv", (64, 64))
+        >>> encoder(torch.zeros(5, 3, 64, 64, dtype=torch.uint8)).shape
+        torch.Size([5, 96])
+    """
+
+    def __init__(
+        self,
+        kind: ImageKind,
+        size: Sequence[int],
+        *,
+        weights: str | None = None,
+        frozen: bool = True,
+    ) -> None:
+        super().__init__()
+        check_image(kind, size, weights)
+        height, width = size
+        self.size = (int(height), int(width))
+        self.network: ConvMaps | MobileNetMaps
+        if kind == "conv":
+            self.network = ConvMaps(self.size)
+            channels: Sequence[int] = (self.network.channels,)
+        else:
+            self.network = MobileNetMaps(str(weights), frozen=frozen)
+            channels = self.network.channels
+        each = POINTS // len(channels)
+        # Each map is normalised over its own places, which no other image changes:
+        # otherwise all places would weigh alike at first, and little would be learnt.
+        self.points = nn.ModuleList(
+            nn.Sequential(nn.Conv2d(count, each, 1), nn.GroupNorm(each, each))
+            for count in channels
+        )
+        self.pool = SpatialSoftmax(SHARPNESS)
+        self.features = 3 * POINTS
+
+    def forward(self, images: torch.Tensor) -> torch.Tensor:
+        """Return features [*B, features] of images uint8 [*B, 3, height, width].
+
+        Raises:
+            DataError: images of another size or type.
+        """
+        wanted = (3, *self.size)
+        if images.dtype != torch.uint8 or images.shape[-3:] != wanted:
+            raise DataError(
+                f"images are {images.dtype} of shape {tuple(images.shape[-3:])}, the "
+                f"policy was built for torch.uint8 of shape {wanted}; give the "
+                f"environment and the data set image_size={self.size}."
+            )
+        batch = images.shape[:-3]
+        dtype = next(self.points.parameters()).dtype
+        images = images.reshape(-1, *wanted).to(dtype) / 255.0
+        maps = self.network(images)
+        found = [
+            self.pool(points(one))
+            for points, one in zip(self.points, maps, strict=True)
+        ]
+        out = torch.cat(found, -1).view(*batch, self.features)
+        return out.to(torch.promote_types(out.dtype, torch.float32))
+
+
+def check_image(kind: str, size: Sequence[int], weights: str | None) -> None:
+    """Refuse what no encoder can be built from, before anything is built.
+
+    Raises:
+        UnknownNameError: no such kind.
+        ConfigError: a size that is not allowed, or mobilenet without weights.
+    """
+    if kind not in IMAGE_KINDS:
+        raise UnknownNameError("image", kind, ("none", *IMAGE_KINDS))
+    low, high = SIDES
+    if len(size) != 2 or not all(low <= side <= high for side in size):
+        raise ConfigError(
+            [f"image_size={tuple(size)} must be two sides of {low} to {high} pixels"]
+        )
+    if kind == "mobilenet" and weights is None:
+        raise ConfigError(
+            [
+                "image='mobilenet' needs its ImageNet weights from a file; give "
+                "image_weights=mobilenet_v2-b0353104.pth, as torchvision publishes it "
+                "(nothing is downloaded), or image='conv'"
+            ]
+        )
+
+
+def saved_arguments(image: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the arguments of the encoder as a saved policy's description has them.
+
+    Its weights lie in the policy's own file then, wherever they came from.
+
+    Example:
+        >>> saved_arguments({"kind": "conv", "size": (64, 64)})
+        {'kind': 'conv', 'size': [64, 64]}
+    """
+    saved = {**image, "size": [int(side) for side in image["size"]]}
+    if image["kind"] == "mobilenet":
+        saved["weights"] = "saved"
+    return saved

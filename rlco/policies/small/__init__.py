@@ -1,0 +1,1 @@
+"""Small policies of the three kinds: Gaussian, token, flow; and their files."""

@@ -1,0 +1,161 @@
+"""Policies in two files: weights as safetensors, the rest as JSON; no pickle."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file, save_file
+from torch import nn
+
+from rlco.errors import CheckpointError, RlcoError
+from rlco.finite import check_loaded, check_saved
+from rlco.policies.small.chunk_policy import ChunkPolicy
+from rlco.policies.small.registry import make_policy
+
+WEIGHTS = "policy.safetensors"
+DESCRIPTION = "policy.json"
+_FIELDS = ("kind", "arguments", "rlco", "extra")
+
+
+def save_policy(
+    policy: ChunkPolicy,
+    folder: str | os.PathLike[str],
+    *,
+    extra: dict[str, Any] | None = None,
+) -> None:
+    """Write a policy to ``folder``, which is made where it does not exist.
+
+    Each file appears whole or not at all, also where the process is killed.
+
+    Args:
+        policy: what to save; its normalisation is among its buffers.
+        folder: where to.
+        extra: what else a user of the policy must know (task, instructions, state
+            names), in types that JSON holds.
+
+    Raises:
+        NonFiniteError: a weight is NaN or infinite; what is in the folder stays.
+
+    Example:
+        >>> import tempfile
+        >>> policy = make_policy("gaussian", state_size=3, chunk=4)
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     save_policy(policy, folder, extra={"task": "push_cube"})
+        ...     loaded, extra = load_policy(folder)
+        >>> extra["task"], loaded.arguments == policy.arguments
+        ('push_cube', True)
+    """
+    path = Path(folder)
+    check_saved(f"the policy {str(path)!r}", policy.state_dict().items())
+    path.mkdir(parents=True, exist_ok=True)
+    description = {
+        "kind": policy.kind,
+        "arguments": policy.arguments,
+        "rlco": importlib.metadata.version("rlco"),
+        "extra": extra or {},
+    }
+    text = json.dumps(description, indent=2) + "\n"
+    weights = {
+        name: tensor.detach().cpu().contiguous()
+        for name, tensor in policy.state_dict().items()
+    }
+    partial = path / (WEIGHTS + ".partial")
+    save_file(weights, partial)
+    partial.replace(path / WEIGHTS)
+    partial = path / (DESCRIPTION + ".partial")
+    partial.write_text(text, encoding="utf-8")
+    partial.replace(path / DESCRIPTION)
+
+
+def load_policy(
+    folder: str | os.PathLike[str],
+) -> tuple[ChunkPolicy, dict[str, Any]]:
+    """Return the policy in ``folder``, and the ``extra`` that was saved with it.
+
+    Raises:
+        CheckpointError: a file is missing or damaged, the two do not belong together,
+            or a weight is NaN or infinite.
+    """
+    path = Path(folder)
+    description = _read_description(path / DESCRIPTION)
+    try:
+        policy = make_policy(description["kind"], **description["arguments"])
+    except (RlcoError, TypeError) as error:
+        raise CheckpointError(
+            f"{path / DESCRIPTION} describes no policy that rlco "
+            f"{importlib.metadata.version('rlco')} can build (it was written by rlco "
+            f"{description['rlco']}): {error}"
+        ) from error
+    load_weights(policy, folder)
+    extra: dict[str, Any] = description["extra"]
+    return policy, extra
+
+
+def load_weights(policy: nn.Module, folder: str | os.PathLike[str]) -> None:
+    """Copy the weights in ``folder`` into ``policy``, which keeps its own dtype.
+
+    Raises:
+        CheckpointError: the file is missing, damaged, of another architecture, or
+            holds NaN or infinity; the policy is then as it was.
+    """
+    path = Path(folder) / WEIGHTS
+    try:
+        found = load_file(path)
+    except (OSError, SafetensorError) as error:
+        raise CheckpointError(
+            f"cannot read the weights {str(path)!r} ({error}); give the folder of a "
+            f"saved policy, with {WEIGHTS} and {DESCRIPTION}."
+        ) from error
+    expected = policy.state_dict()
+    differences = _differences(expected, found)
+    if differences:
+        more = f" (and {len(differences) - 3} more)" if len(differences) > 3 else ""
+        raise CheckpointError(
+            f"{str(path)!r} is of another architecture: "
+            f"{'; '.join(differences[:3])}{more}; load it with the options that it was "
+            "trained with."
+        )
+    check_loaded(str(path), found.items())
+    policy.load_state_dict(found)
+
+
+def _read_description(path: Path) -> dict[str, Any]:
+    try:
+        description = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise CheckpointError(
+            f"cannot read {str(path)!r} ({error}); give the folder of a saved policy, "
+            f"with {WEIGHTS} and {DESCRIPTION}."
+        ) from error
+    if not isinstance(description, dict) or not set(_FIELDS) <= set(description):
+        raise CheckpointError(
+            f"{str(path)!r} is not a description of a policy; it must hold "
+            f"{', '.join(_FIELDS)}."
+        )
+    if not isinstance(description["arguments"], dict):
+        raise CheckpointError(f"{str(path)!r}: arguments must be a mapping.")
+    return description
+
+
+def _differences(
+    expected: dict[str, torch.Tensor], found: dict[str, torch.Tensor]
+) -> list[str]:
+    """Say in which entries two sets of weights differ, in the policy's order."""
+    differences = []
+    for name in [*expected, *sorted(found.keys() - expected.keys())]:
+        if name not in found:
+            differences.append(f"{name} is missing")
+        elif name not in expected:
+            differences.append(f"{name} is not expected")
+        elif expected[name].shape != found[name].shape:
+            differences.append(
+                f"{name} has shape {tuple(found[name].shape)}, expected "
+                f"{tuple(expected[name].shape)}"
+            )
+    return differences

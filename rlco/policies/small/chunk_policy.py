@@ -1,0 +1,160 @@
+"""What the small policies share: what they read, and the units of their actions."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import InteractionType, TensorDictModuleBase
+from tensordict.nn.probabilistic import interaction_type
+
+from rlco.errors import ConfigError, DataError
+from rlco.keys import ACTION, CHUNK, LOG_PROB, SAMPLE
+from rlco.physics.spec.actions import LIMIT
+from rlco.policies.nets.encoder import ObservationEncoder, Quantiles, read
+from rlco.policies.nets.image_encoder import ImageArguments, saved_arguments
+from rlco.policies.nets.normalizer import QuantileNormalizer
+
+#: An action number that moved less than this in the demonstrations (raw units; the
+#: limits are 2 apart) keeps this range: see :class:`ChunkPolicy`.
+MIN_ACTION_RANGE = 0.2
+#: The same where actions have no limits, and so no known unit: what is constant stays.
+MIN_UNLIMITED_RANGE = 1e-3
+_SAMPLED = (None, InteractionType.RANDOM)
+
+
+class ChunkPolicy(TensorDictModuleBase):
+    """Base of the policies that rlco builds itself: an encoder and a normaliser.
+
+    Samples, losses and log-probabilities live in the normalised action space, where
+    the 1 % and 99 % quantiles of the demonstrated actions are -1 and 1. Raw actions
+    are clipped to the action limits [-1, 1], which every task of the simulator has;
+    demonstrations beyond them are refused, as clipped they would be other actions. A
+    robot of another kind (joint angles, say) has a policy with ``action_limit=None``.
+
+    An action number that hardly moves in the demonstrations is not squeezed onto its
+    one value: its range is widened to ``MIN_ACTION_RANGE`` = 0.2 about that value, so
+    that exploration there stays small without being switched off: noise in a rotation
+    that no demonstration uses would add up over an episode.
+
+    Args:
+        state_size: dimension of the state.
+        chunk: steps H of a chunk.
+        action_size: action dimensions A.
+        environment_state_size: dimension of the environment state; 0: not read.
+        num_instructions: instructions to tell apart; 0: not read.
+        image: how images are read, see `rlco.policies.ImageArguments`; None: not.
+        action_limit: raw actions are clipped to it; None leaves them as they are.
+
+    Raises:
+        ConfigError: sizes that are not positive.
+        CheckpointError: the image encoder's weights cannot be loaded.
+    """
+
+    kind: ClassVar[str]
+    #: What a rollout has to keep to recompute log-probabilities.
+    replay_keys: list[Any]
+
+    def __init__(
+        self,
+        state_size: int,
+        *,
+        chunk: int,
+        action_size: int,
+        environment_state_size: int,
+        num_instructions: int,
+        image: ImageArguments | None = None,
+        action_limit: float | None = LIMIT,
+    ) -> None:
+        super().__init__()
+        if action_limit is not None and not action_limit > 0:
+            raise ConfigError(
+                [f"action_limit={action_limit} must be positive, or None"]
+            )
+        if chunk < 1 or action_size < 1:
+            raise ConfigError(
+                [f"chunk={chunk} and action_size={action_size} must be at least 1"]
+            )
+        self.arguments: dict[str, Any] = {
+            "state_size": state_size,
+            "chunk": chunk,
+            "action_size": action_size,
+            "environment_state_size": environment_state_size,
+            "num_instructions": num_instructions,
+        }
+        if image is not None:
+            self.arguments["image"] = saved_arguments(image)
+        if action_limit != LIMIT:
+            self.arguments["action_limit"] = action_limit
+        self.action_limit = action_limit
+        self.chunk, self.action_size = chunk, action_size
+        self.encoder = ObservationEncoder(
+            state_size, environment_state_size, num_instructions, image
+        )
+        self.action_normalizer = QuantileNormalizer(
+            action_size,
+            name="action",
+            min_range=MIN_UNLIMITED_RANGE if action_limit is None else MIN_ACTION_RANGE,
+            limit=action_limit,
+        )
+        self.in_keys = self.encoder.in_keys
+        self.dist_sample_keys: list[Any] = [SAMPLE]
+        self.log_prob_keys: list[Any] = [LOG_PROB]
+        self.replay_keys = [*self.in_keys, SAMPLE]
+        self.out_keys = [SAMPLE, LOG_PROB, CHUNK, ACTION]
+
+    def set_normalization(
+        self,
+        *,
+        state: Quantiles | None = None,
+        environment_state: Quantiles | None = None,
+        action: Quantiles | None = None,
+    ) -> None:
+        """Fix the normalisation, once, before Stage I, from quantiles (low, high).
+
+        Args:
+            state: quantiles of the state, each of shape (state_size,), raw units.
+            environment_state: quantiles of the environment state.
+            action: quantiles of the action dimensions, each of shape (action_size,).
+
+        Raises:
+            DataError: quantiles of another size, not finite, of what is not read, or of
+                actions beyond the policy's limit.
+        """
+        self.encoder.set_normalization(state=state, environment_state=environment_state)
+        if action is not None:
+            self.action_normalizer.set_quantiles(*action)
+
+    @property
+    def image_size(self) -> tuple[int, int] | None:
+        """Height and width of the images that it reads [pixels]; None: none."""
+        return None if self.encoder.image is None else self.encoder.image.size
+
+    @property
+    def explores(self) -> bool:
+        """Whether TorchRL's exploration type asks for a random sample."""
+        return interaction_type() in _SAMPLED
+
+    def demonstrated(self, tensordict: TensorDictBase) -> torch.Tensor:
+        """Return the demonstrated chunk, normalised, [B, H, A].
+
+        Raises:
+            DataError: the chunk is missing or of another shape than the policy's.
+        """
+        target: torch.Tensor = self.action_normalizer(read(tensordict, CHUNK))
+        shape = (*tensordict.batch_size, self.chunk, self.action_size)
+        if target.shape != shape:
+            raise DataError(
+                f"demonstrated chunks have shape {tuple(target.shape)}, the policy's "
+                f"{shape}; build both with the same chunk length."
+            )
+        return target
+
+    def act(self, tensordict: TensorDictBase, normalized: torch.Tensor) -> None:
+        """Write the chunk and the action of a normalised chunk [B, H, A]."""
+        raw = self.action_normalizer.inverse(normalized)
+        if self.action_limit is not None:
+            raw = raw.clamp(-self.action_limit, self.action_limit)
+        tensordict.set(CHUNK, raw)
+        tensordict.set(ACTION, raw)

@@ -1,0 +1,1 @@
+"""Vision-language-action models under the same interface as the small policies."""

@@ -1,0 +1,1 @@
+"""LeRobot's pi0.5 and SmolVLA, and their checkpoint folders."""

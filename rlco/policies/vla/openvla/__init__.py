@@ -1,0 +1,1 @@
+"""OpenVLA out of transformers' parts."""

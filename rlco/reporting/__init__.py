@@ -1,0 +1,1 @@
+"""Figures, tables of numbers and the HTML report of a training run."""

@@ -1,0 +1,169 @@
+"""The style of rlco's figures: colours, labels and axes."""
+
+from __future__ import annotations
+
+import itertools
+import textwrap
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import (
+    FuncFormatter,
+    LogLocator,
+    MaxNLocator,
+    NullLocator,
+    PercentFormatter,
+)
+
+#: The names of domains in figures.
+DOMAIN_LABELS = {
+    "sim": "sim (the simulator as built)",
+    "stand_in": "stand_in (a second simulator, not a robot)",
+}
+#: Colour and marker of a method: Okabe and Ito's palette, distinguishable with any
+#: colour vision, and markers for black-and-white print.
+METHOD_STYLES = {
+    "real_only": ("#7a7a7a", "s"),
+    "sft": ("#0072b2", "o"),
+    "rl_only": ("#e69f00", "^"),
+    "rl_co": ("#009e73", "D"),
+}
+#: How to read each figure, by its title; reports print it beside the figure, in
+#: this order.
+READING = {
+    "Success rate": (
+        "Compare the methods within one simulator: where the black lines overlap "
+        "much, it takes more episodes or seeds to separate two methods."
+    ),
+    "Success while learning": (
+        "Reinforcement learning runs in one simulator only: sim, unless train_domain "
+        "names another. Its gains there count only if success in stand_in does not "
+        "fall."
+    ),
+    "Does the anchor pull?": (
+        "grad_norm_ratio is the anchor's gradient norm over PPO's. Far below 0.1 the "
+        "anchor hardly pulls, and the run is nearly RL alone; far above 1 it holds the "
+        "policy where Stage I left it; real_coeff scales it. A cosine below 0 means "
+        "that the two terms pull against each other."
+    ),
+    "Forgetting the demonstrations": (
+        "A rising line means that reinforcement learning moves the policy away from "
+        "the demonstrations."
+    ),
+    "One episode": "Time runs from left to right.",
+}
+_SPARE_STYLES = (("#cc79a7", "v"), ("#56b4e9", "P"), ("#d55e00", "X"))
+WIDTH = 7.2  # [inch]: 720 px wide at 100 px per inch, for which text is sized
+INK, QUIET, LINES = "#222222", "#666666", "#bbbbbb"
+
+
+def new_figure(
+    title: str, panels: int, *, height: float, stacked: bool = False
+) -> tuple[Figure, list[Axes]]:
+    """Make a figure of equal panels, side by side or stacked over one x axis."""
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    shape: dict[str, Any] = (
+        {"nrows": panels, "sharex": True} if stacked else {"ncols": panels}
+    )
+    axes: list[Axes] = list(figure.subplots(squeeze=False, **shape).flat)
+    figure.suptitle(title, x=0.01, ha="left", fontsize=13, color=INK, weight="bold")
+    for each in axes:
+        each.spines[["top", "right"]].set_visible(False)
+        each.spines[["left", "bottom"]].set_color(LINES)
+        each.tick_params(labelsize=9, color=LINES, labelcolor=INK, which="both")
+        each.grid(axis="y", color="#e6e6e6", linewidth=0.8)
+        each.set_axisbelow(True)
+    return figure, axes
+
+
+def styles(methods: Iterable[str]) -> dict[str, tuple[str, str]]:
+    """Give each method a colour and a marker, in the order of the comparison.
+
+    Example:
+        >>> list(styles(["rl_co", "mine", "sft"]))
+        ['sft', 'rl_co', 'mine']
+    """
+    given = dict.fromkeys(methods)
+    known = {name: look for name, look in METHOD_STYLES.items() if name in given}
+    others = [name for name in given if name not in known]
+    spare = itertools.cycle(_SPARE_STYLES)
+    return known | dict(zip(others, spare, strict=False))
+
+
+def domain_label(domain: str, *, lines: int = 1) -> str:
+    """Return a domain's name and meaning, on one line or two."""
+    label = DOMAIN_LABELS.get(domain, domain)
+    return label.replace(" (", "\n(", 1) if lines == 2 else label
+
+
+def rate_axis(axes: Axes) -> None:
+    """Make y a success rate from 0 to 100 %."""
+    axes.set_ylim(0, 1.08)
+    axes.set_yticks([0, 0.25, 0.5, 0.75, 1])
+    axes.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
+    axes.set_ylabel("success rate")
+
+
+def count_axis(axes: Axes, label: str) -> None:
+    """Make x a count, thousands shortened."""
+    axes.xaxis.set_major_locator(MaxNLocator(5, integer=True))
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda x, _: _short(x)))
+    axes.set_xlabel(label)
+
+
+def log_axis(axes: Axes, label: str) -> None:
+    """Make y logarithmic, with plain numbers at 1, 2 and 5."""
+    axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_minor_locator(NullLocator())
+    axes.yaxis.set_major_formatter(FuncFormatter(lambda y, _: f"{y:g}"))
+    axes.set_ylabel(label)
+
+
+def legend(figure: Figure, axes: Iterable[Axes]) -> None:
+    """Put each label beside the title, once."""
+    named = {
+        label: handle
+        for each in axes
+        for handle, label in zip(*each.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(
+        named.values(),
+        named.keys(),
+        loc="outside upper right",
+        ncols=min(5, len(named)),
+        frameon=False,
+        fontsize=10,
+        handlelength=1.4,
+        columnspacing=1.4,
+    )
+
+
+def caption(figure: Figure, text: str) -> None:
+    """Write a caption under a figure, and keep it as the figure's label."""
+    figure.set_label(text)
+    figure.supxlabel(
+        textwrap.fill(text, 112), x=0.01, ha="left", fontsize=8.5, color=QUIET
+    )
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG, 1440 px wide, with its title and caption inside."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    title = figure.get_suptitle()
+    about = {
+        "Title": title,
+        "Description": str(figure.get_label()),
+        "Comment": READING.get(title, ""),
+    }
+    figure.savefig(path, dpi=200, facecolor="white", metadata=about)
+
+
+def _short(count: float) -> str:
+    for size, letter in ((1e6, "M"), (1e3, "k")):
+        if count >= size:
+            return f"{count / size:g}{letter}"
+    return f"{count:g}"

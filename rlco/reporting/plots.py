@@ -1,0 +1,298 @@
+"""Figures of a run: success, learning, gradients, forgetting, an episode.
+
+Each function returns a matplotlib Figure without touching pyplot's global state;
+:func:`save_figure` writes it as a PNG that carries its title and how to read it.
+Every interval is a 95 % one. Nothing here draws a robot: ``stand_in`` is always
+labelled as the second simulator that it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from rlco.reporting.plot_style import (
+    INK,
+    QUIET,
+    WIDTH,
+    caption,
+    count_axis,
+    domain_label,
+    legend,
+    log_axis,
+    new_figure,
+    rate_axis,
+    styles,
+)
+from rlco.reporting.plot_style import save_figure as save_figure
+from rlco.reporting.statistics import (
+    ResultRow,
+    mean_interval,
+    rate_interval,
+    wilson_interval,
+)
+
+
+@dataclass(frozen=True)
+class Curve:
+    """Success of one method in one domain while it learns.
+
+    Attributes:
+        method: Its name.
+        domain: Where it was evaluated.
+        frames: Environment steps so far, summed over environments. Shape (K,).
+        success: Success rate of every seed, in [0, 1]. Shape (seeds, K).
+        episodes: Episodes behind each rate, for the interval of a single seed.
+    """
+
+    method: str
+    domain: str
+    frames: Sequence[float]
+    success: Sequence[Sequence[float]]
+    episodes: int
+
+
+def success_bars(rows: Sequence[ResultRow]) -> Figure:
+    """Draw the success rate of each method in each domain.
+
+    One seed: Wilson's interval over episodes. Several: the mean over seeds with
+    Student's t interval, and a dot for every seed.
+
+    Example:
+        >>> row = dict(task="push_cube", policy="gaussian", domain="stand_in")
+        >>> row |= dict(method="sft", variation=None, seed=0, episodes=20, successes=17)
+        >>> success_bars([row]).axes[0].get_ylabel()
+        'success rate'
+    """
+    groups = list(dict.fromkeys((r["task"], r["domain"], r["variation"]) for r in rows))
+    looks = styles(row["method"] for row in rows)
+    figure, (axes,) = new_figure("Success rate", 1, height=3.9)
+    width = 0.84 / len(looks)
+    for i, (method, (colour, _)) in enumerate(looks.items()):
+        for j, group in enumerate(groups):
+            cell = [
+                row
+                for row in rows
+                if (row["task"], row["domain"], row["variation"]) == group
+                and row["method"] == method
+            ]
+            if cell:
+                place = j + (i - (len(looks) - 1) / 2) * width
+                _bar(axes, place, width, colour, cell)
+    several_tasks = len({task for task, _, _ in groups}) > 1
+    axes.set_xticks(
+        range(len(groups)), [_group_label(*group, several_tasks) for group in groups]
+    )
+    axes.tick_params(axis="x", length=0)
+    axes.set_xlim(-0.5, len(groups) - 0.5)
+    rate_axis(axes)
+    legend(figure, [axes])
+    caption(figure, _bars_caption(rows))
+    return figure
+
+
+def learning_curves(curves: Sequence[Curve]) -> Figure:
+    """Draw success against environment steps, a panel a domain, a line a method.
+
+    Several seeds: the mean, Student's t interval of it as a band, and the worst
+    seed (the one that ends lowest) dotted. One seed: Wilson's interval as the band.
+
+    Raises:
+        ValueError: A curve whose seeds and frames do not fit together.
+    """
+    domains = list(dict.fromkeys(curve.domain for curve in curves))
+    looks = styles(curve.method for curve in curves)
+    figure, panels = new_figure("Success while learning", len(domains), height=3.9)
+    for axes, domain in zip(panels, domains, strict=True):
+        axes.set_title(domain_label(domain, lines=2), fontsize=10, color=INK)
+        for curve in curves:
+            if curve.domain == domain:
+                _curve(axes, curve, *looks[curve.method])
+        rate_axis(axes)
+        count_axis(axes, "environment steps")
+    for axes in panels[1:]:
+        axes.set_ylabel("")
+    legend(figure, panels)
+    seeds = max(len(curve.success) for curve in curves)
+    episodes = max(curve.episodes for curve in curves)
+    band = (
+        f"Line: mean of {seeds} seeds; band: 95 % t interval of that mean; dotted: "
+        "the seed that ends lowest."
+        if seeds > 1
+        else "Line: one seed; band: 95 % Wilson interval."
+    )
+    caption(figure, f"{band} Each point: {episodes} episodes a seed.")
+    return figure
+
+
+def gradient_terms(
+    rollouts: Sequence[float],
+    sim_norm: Sequence[float],
+    real_norm: Sequence[float],
+    cosine: Sequence[float],
+) -> Figure:
+    """Draw the two terms' gradients on the shared parameters over the rollouts.
+
+    Args:
+        rollouts: Rollouts so far. Shape (K,).
+        sim_norm: Norm of the simulator term's gradient, weighted. Shape (K,).
+        real_norm: Norm of the real-data term's gradient, weighted. Shape (K,).
+        cosine: Cosine between the two, in [-1, 1]. Shape (K,).
+    """
+    figure, panels = new_figure("Does the anchor pull?", 3, height=5.6, stacked=True)
+    norms, ratio, angle = panels
+    norms.plot(rollouts, sim_norm, color="#0072b2", label="simulator term")
+    norms.plot(rollouts, real_norm, color="#d55e00", label="real-data term")
+    log_axis(norms, "gradient norm")
+    legend(figure, [norms])
+    quotient = np.divide(real_norm, np.maximum(sim_norm, 1e-12))
+    ratio.plot(rollouts, quotient, color="#009e73")
+    ratio.axhline(1, color=QUIET, linewidth=0.8, linestyle="--")
+    log_axis(ratio, "real / sim")
+    angle.plot(rollouts, cosine, color="#cc79a7")
+    angle.axhline(0, color=QUIET, linewidth=0.8, linestyle="--")
+    angle.set_ylim(-1.05, 1.05)
+    angle.set_ylabel("cosine")
+    count_axis(angle, "rollouts (each measured before its first update)")
+    caption(
+        figure,
+        "Gradients of the two terms on the shared actor, each already weighted.",
+    )
+    return figure
+
+
+def imitation_error(
+    lines: Mapping[str, tuple[Sequence[float], Sequence[float]]],
+) -> Figure:
+    """Draw the imitation loss on held-out demonstrations during RL.
+
+    Args:
+        lines: By method, environment steps and loss. Shape (K,) each.
+    """
+    figure, (axes,) = new_figure("Forgetting the demonstrations", 1, height=3.6)
+    for method, (colour, marker) in styles(lines).items():
+        axes.plot(
+            *lines[method], color=colour, marker=marker, markersize=4, label=method
+        )
+    axes.set_ylabel("imitation loss, held out")
+    count_axis(axes, "environment steps")
+    legend(figure, [axes])
+    caption(
+        figure,
+        "Imitation loss on demonstrations held out of training.",
+    )
+    return figure
+
+
+def episode_strip(
+    frames: Sequence[npt.NDArray[np.uint8]],
+    seconds: Sequence[float],
+    domain: str,
+    *,
+    policy: str = "",
+    instruction: str = "",
+) -> Figure:
+    """Draw a few frames of one episode in a row.
+
+    Args:
+        frames: Images of equal size. Shape (height, width, 3) each.
+        seconds: Time of each frame [s].
+        domain: The domain of the episode.
+        policy: Name of the policy that acts, for the caption.
+        instruction: What it was asked to do, for the caption.
+    """
+    height, width = frames[0].shape[:2]
+    tall = WIDTH / len(frames) * height / width + 0.9
+    figure, panels = new_figure("One episode", len(frames), height=tall)
+    for axes, frame, second in zip(panels, frames, seconds, strict=True):
+        axes.imshow(frame)
+        axes.set_axis_off()
+        axes.set_title(f"{second:.1f} s", fontsize=10, color=INK)
+    task = f', asked to "{instruction}"' if instruction else ""
+    who = f"Policy {policy}{task}. " if policy else ""
+    caption(figure, f"{who}Rendered in {domain_label(domain)}.")
+    return figure
+
+
+def _bar(
+    axes: Axes,
+    place: float,
+    width: float,
+    colour: str,
+    cell: Sequence[ResultRow],
+) -> None:
+    rates = [row["successes"] / row["episodes"] for row in cell]
+    interval = rate_interval(cell)
+    axes.bar(
+        place, interval.estimate, width * 0.9, color=colour, label=cell[0]["method"]
+    )
+    top = interval.estimate
+    if np.isfinite(interval.low):
+        low, top = max(interval.low, 0.0), min(interval.high, 1.0)
+        axes.vlines(place, low, top, color=INK, linewidth=1.4)
+    if len(rates) > 1:
+        spread = np.linspace(-0.2, 0.2, len(rates)) * width
+        axes.plot(place + spread, rates, "o", ms=4, mfc="white", mec=INK, mew=0.8)
+    axes.annotate(
+        f"{interval.estimate:.0%}".replace("%", " %"),
+        (place, max(top, *rates)),
+        (0, 5),
+        textcoords="offset points",
+        ha="center",
+        fontsize=9,
+        color=INK,
+    )
+
+
+def _curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
+    rates = np.asarray(curve.success, dtype=float)
+    if rates.ndim != 2 or rates.shape[1] != len(curve.frames):
+        raise ValueError(
+            f"curve of {curve.method!r}: success has shape {rates.shape}, expected "
+            f"(seeds, {len(curve.frames)})"
+        )
+    if len(rates) > 1:
+        points = [mean_interval(column) for column in rates.T]
+    else:
+        counts = np.rint(rates[0] * curve.episodes).astype(int)
+        points = [wilson_interval(int(count), curve.episodes) for count in counts]
+    mean, low, high = np.clip(np.transpose(points), 0, 1)
+    axes.plot(
+        curve.frames,
+        mean,
+        color=colour,
+        marker=marker,
+        markersize=4,
+        label=curve.method,
+    )
+    axes.fill_between(curve.frames, low, high, color=colour, alpha=0.15, linewidth=0)
+    if len(rates) > 1:
+        worst = rates[np.argmin(rates[:, -1])]
+        axes.plot(curve.frames, worst, color=colour, linestyle=":", linewidth=1.4)
+
+
+def _bars_caption(rows: Sequence[ResultRow]) -> str:
+    counts = sorted({row["episodes"] for row in rows})
+    episodes = str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    seeds = len({row["seed"] for row in rows})
+    if seeds == 1:
+        return f"n = {episodes} episodes per bar; black line: 95 % Wilson interval."
+    return (
+        f"Mean of {seeds} seeds (dots), n = {episodes} episodes each; black line: "
+        "95 % t interval of the mean."
+    )
+
+
+def _group_label(
+    task: str, domain: str, variation: str | None, several_tasks: bool
+) -> str:
+    lines = [task] if several_tasks else []
+    lines.append(domain_label(domain, lines=2))
+    if variation:
+        lines.append(f"variation: {variation}")
+    return "\n".join(lines)

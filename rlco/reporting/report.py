@@ -1,0 +1,253 @@
+"""A run's report: one self-contained HTML file.
+
+Everything is read from the run directory, so a report can be written again at any
+time. Images and videos are embedded; no script, font or style is loaded from
+elsewhere.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from PIL import Image
+
+from rlco.errors import RlcoError
+from rlco.reporting.html import data_address, definitions, figure, page
+from rlco.reporting.plot_style import READING, styles
+from rlco.reporting.statistics import Interval, ResultRow, rate_interval
+from rlco.runs.metrics import read_metrics
+from rlco.runs.whole_files import write_text
+
+_VIDEO_LIMIT = 4_000_000  # [byte]; a longer one is named, not embedded
+
+
+def write_report(
+    run_dir: str | Path, *, title: str | None = None, notes: Sequence[str] = ()
+) -> Path:
+    """Write ``report.html`` into a run directory from the files there.
+
+    Call it after the run has ended: its status and run time are final only then.
+
+    Args:
+        run_dir: A run directory: run.json, and where present results.json,
+            metrics.csv, config.yaml, plots/*.png and videos/*.mp4.
+        title: The headline; by default the success rates of results.json.
+        notes: Sentences of the recipe, below the headline.
+
+    Returns:
+        The file.
+
+    Raises:
+        RlcoError: The folder is not a run directory.
+    """
+    run_dir = Path(run_dir)
+    if not (run_dir / "run.json").is_file():
+        raise RlcoError(
+            f"{str(run_dir)!r} is not a run directory: it has no run.json; give the "
+            "folder that a recipe wrote."
+        )
+    info = json.loads((run_dir / "run.json").read_text("utf-8"))
+    results = run_dir / "results.json"
+    rows: list[ResultRow] = (
+        json.loads(results.read_text("utf-8"))["rows"] if results.is_file() else []
+    )
+    headline = title or _headline(rows) or f"A run of {info['recipe']}"
+    body = "\n".join(
+        part
+        for part in (
+            _header(info, headline, notes),
+            _simulated(rows),
+            _success_table(rows),
+            _figures(run_dir),
+            _videos(run_dir),
+            _details(run_dir, info),
+        )
+        if part
+    )
+    path = run_dir / "report.html"
+    write_text(path, page(headline, body))
+    return path
+
+
+def _headline(rows: Sequence[ResultRow]) -> str:
+    """Return the success rate of the last method of the comparison, then the others."""
+    if not rows:
+        return ""
+    domains = {row["domain"] for row in rows}
+    domain = "stand_in" if "stand_in" in domains else rows[0]["domain"]
+    here = [row for row in rows if row["domain"] == domain]
+    methods = list(styles(row["method"] for row in here))
+    rates = {
+        method: rate_interval([row for row in here if row["method"] == method])
+        for method in methods
+    }
+    main = methods.pop()
+    tasks = " and ".join(dict.fromkeys(row["task"] for row in here))
+    often = _percent(rates[main].estimate)
+    text = f"{main} solves {tasks} in {often} of episodes in {domain}"
+    others = [f"{method} in {_percent(rates[method].estimate)}" for method in methods]
+    return f"{text}; {', '.join(reversed(others))}" if others else text
+
+
+def _header(info: dict[str, Any], headline: str, notes: Sequence[str]) -> str:
+    minutes, seconds = divmod(round(info["seconds"]), 60)
+    facts = f"{info['started']} · {minutes} min {seconds} s · {info['status']}"
+    return (
+        f'<header>\n<p class="kicker">rlco · {escape(info["recipe"])}</p>\n'
+        f'<h1>{escape(headline)}</h1>\n<p class="quiet">{escape(facts)}</p>\n'
+        "</header>" + "".join(f"\n<p>{escape(note)}</p>" for note in notes)
+    )
+
+
+def _simulated(rows: Sequence[ResultRow]) -> str:
+    text = (
+        "<p><strong>What is simulated.</strong> Every success rate here was measured "
+        "in a simulator; no robot moved for it.</p>"
+    )
+    if any(row["domain"] == "stand_in" for row in rows):
+        text += (
+            "<p><code>stand_in</code> is a second simulator, not a robot. It plays the "
+            "robot's part, with other friction, masses, delay and sensors than "
+            "<code>sim</code>, the simulator as built. Unless "
+            "<code>train_domain</code> names it, training uses it only through "
+            "demonstrations recorded there.</p>"
+        )
+    return f"<aside>{text}</aside>"
+
+
+def _success_table(rows: Sequence[ResultRow]) -> str:
+    if not rows:
+        return ""
+    columns = list(
+        dict.fromkeys((row["task"], row["domain"], row["variation"]) for row in rows)
+    )
+    head = "".join(f"<th>{_column_title(*column)}</th>" for column in columns)
+    lines = []
+    for method in styles(row["method"] for row in rows):
+        cells = [
+            _cell(
+                [
+                    row
+                    for row in rows
+                    if row["method"] == method
+                    and (row["task"], row["domain"], row["variation"]) == column
+                ]
+            )
+            for column in columns
+        ]
+        lines.append(f"<tr><th>{escape(method)}</th>{''.join(cells)}</tr>")
+    several = len({row["seed"] for row in rows}) > 1
+    kind = "t intervals of the mean over seeds" if several else "Wilson intervals"
+    return (
+        "<h2>Success</h2>\n<table>\n<thead><tr><th>method</th>"
+        f"{head}</tr></thead>\n<tbody>\n{chr(10).join(lines)}\n</tbody>\n</table>\n"
+        f'<p class="quiet">Success at the end of an episode, with 95 % {kind}.</p>'
+    )
+
+
+def _column_title(task: str, domain: str, variation: str | None) -> str:
+    return escape(f"{task} in {domain}" + (f", {variation}" if variation else ""))
+
+
+def _cell(rows: Sequence[ResultRow]) -> str:
+    if not rows:
+        return "<td>not tried</td>"
+    interval = rate_interval(rows)
+    episodes = sum(row["episodes"] for row in rows)
+    count = f"{sum(row['successes'] for row in rows)} of {episodes}"
+    if len(rows) > 1:
+        count += f", {len(rows)} seeds"
+    return (
+        f'<td><span class="rate">{_percent(interval.estimate)}</span> '
+        f'<span class="interval">{_reach(interval)} · {count}</span>'
+        f"{_track(interval)}</td>"
+    )
+
+
+def _reach(interval: Interval) -> str:
+    if math.isnan(interval.low):
+        return "no interval"
+    low, high = max(interval.low, 0), min(interval.high, 1)
+    return f"{100 * low:.0f} to {100 * high:.0f} %"
+
+
+def _track(interval: Interval) -> str:
+    """Return a bar from 0 to 100 % with the interval."""
+    point = f'<span class="point" style="left:{100 * interval.estimate:.1f}%"></span>'
+    if math.isnan(interval.low):
+        return f'<div class="track">{point}</div>'
+    low, high = max(interval.low, 0), min(interval.high, 1)
+    place = f"left:{100 * low:.1f}%;width:{100 * (high - low):.1f}%"
+    return (
+        f'<div class="track"><span class="range" style="{place}"></span>{point}</div>'
+    )
+
+
+def _figures(run_dir: Path) -> str:
+    known = list(READING)
+    found = []
+    for path in sorted((run_dir / "plots").glob("*.png")):
+        with Image.open(path) as image:
+            about = {key: str(value) for key, value in image.info.items()}
+        title = about.get("Title") or path.stem.replace("_", " ").capitalize()
+        place = known.index(title) if title in known else len(known)
+        alt = f"{title}. {about.get('Description', '')}"
+        drawn = figure(path.read_bytes(), alt, about.get("Comment", ""))
+        found.append((place, path.name, drawn))
+    if not found:
+        return ""
+    return "<h2>Figures</h2>\n" + "\n".join(html for _, _, html in sorted(found))
+
+
+def _videos(run_dir: Path) -> str:
+    parts = []
+    for path in sorted((run_dir / "videos").glob("*.mp4")):
+        name = escape(path.stem.replace("_", " "))
+        if path.stat().st_size > _VIDEO_LIMIT:
+            parts.append(f'<p class="quiet">{name}: videos/{escape(path.name)}</p>')
+        else:
+            source = data_address(path.read_bytes(), "video/mp4")
+            parts.append(
+                f'<figure><video controls muted loop src="{source}"></video>'
+                f"<figcaption>{name}</figcaption></figure>"
+            )
+    return "<h2>Videos</h2>\n" + "\n".join(parts) if parts else ""
+
+
+def _details(run_dir: Path, info: dict[str, Any]) -> str:
+    machine = info["machine"]
+    graphics = ", ".join(machine["gpus"]) or "no GPU"
+    facts = {
+        "commit": info["commit"] or "unknown",
+        "machine": f"{machine['processor']}, {machine['cores']} cores, {graphics}",
+        "system": machine["system"],
+        "versions": ", ".join(f"{k} {v}" for k, v in info["versions"].items()),
+        "resumed": f"{len(info['resumed'])} times",
+    }
+    parts = [
+        f"<h2>Make it again</h2>\n<pre>{escape(info['command'])}</pre>",
+        definitions(facts.items()),
+    ]
+    config, metrics = run_dir / "config.yaml", run_dir / "metrics.csv"
+    if config.is_file():
+        text = escape(config.read_text("utf-8"))
+        parts.append(
+            f"<details><summary>Configuration</summary><pre>{text}</pre></details>"
+        )
+    history = read_metrics(metrics) if metrics.is_file() else []
+    if history:
+        last = {name: f"{value:.6g}" for name, value in history[-1].items()}
+        parts.append(
+            "<details><summary>Metrics of the last step</summary>"
+            f"{definitions(last.items())}</details>"
+        )
+    return "\n".join(parts)
+
+
+def _percent(rate: float) -> str:
+    return f"{100 * rate:.0f} %"

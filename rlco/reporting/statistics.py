@@ -1,0 +1,155 @@
+"""Intervals: of a success rate, of a mean over seeds, of a paired difference."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple, TypedDict
+
+import numpy as np
+import numpy.typing as npt
+
+
+class ResultRow(TypedDict):
+    """One policy, evaluated: a row of ``results.json``."""
+
+    method: str
+    task: str
+    policy: str
+    domain: str
+    variation: str | None
+    seed: int
+    episodes: int
+    successes: int
+
+
+class Interval(NamedTuple):
+    """An estimate and the ends of its confidence interval."""
+
+    estimate: float
+    low: float
+    high: float
+
+
+def wilson_interval(
+    successes: int, episodes: int, confidence: float = 0.95
+) -> Interval:
+    """Wilson's score interval of a success rate (Wilson 1927, without correction).
+
+    It stays within [0, 1] and keeps its coverage for few episodes and for rates
+    near 0 and 1, where the textbook interval shrinks to a point.
+
+    Args:
+        successes: Episodes that succeeded.
+        episodes: Episodes in all, at least 1.
+        confidence: Coverage of the interval.
+
+    Raises:
+        ValueError: ``successes`` is not within 0 and ``episodes``, or no episodes.
+
+    Example:
+        >>> rate, low, high = wilson_interval(17, 20)
+        >>> f"{rate:.2f} [{low:.2f}, {high:.2f}]"
+        '0.85 [0.64, 0.95]'
+    """
+    if not 0 <= successes <= episodes or episodes < 1:
+        raise ValueError(f"{successes} successes of {episodes} episodes")
+    from scipy import stats  # a second, for what comes last
+
+    interval = stats.binomtest(successes, episodes).proportion_ci(
+        confidence, method="wilson"
+    )
+    return Interval(successes / episodes, float(interval.low), float(interval.high))
+
+
+def mean_interval(values: Sequence[float], confidence: float = 0.95) -> Interval:
+    """Student's t interval of a mean over independent runs (seeds).
+
+    mean +- t[n - 1] * s / sqrt(n), s the sample standard deviation. One value alone
+    says nothing about its spread: the ends are nan.
+
+    Raises:
+        ValueError: No values.
+
+    Example:
+        >>> mean, low, high = mean_interval([0.7, 0.8, 0.9])
+        >>> f"{mean:.2f} [{low:.2f}, {high:.2f}]"
+        '0.80 [0.55, 1.05]'
+    """
+    if len(values) == 0:
+        raise ValueError("a mean needs at least one value")
+    mean = float(np.mean(values))
+    if len(values) == 1:
+        return Interval(mean, math.nan, math.nan)
+    from scipy import stats
+
+    error = float(np.std(values, ddof=1)) / math.sqrt(len(values))
+    reach = float(stats.t.ppf((1 + confidence) / 2, len(values) - 1)) * error
+    return Interval(mean, mean - reach, mean + reach)
+
+
+def rate_interval(rows: Sequence[ResultRow], confidence: float = 0.95) -> Interval:
+    """Success rate of one method in one place, with its interval.
+
+    One row: Wilson's interval over its episodes. Several (seeds): the mean of their
+    rates with Student's t interval, because episodes of one seed share a policy.
+
+    Raises:
+        ValueError: No rows.
+    """
+    if len(rows) == 1:
+        return wilson_interval(rows[0]["successes"], rows[0]["episodes"], confidence)
+    return mean_interval(
+        [row["successes"] / row["episodes"] for row in rows], confidence
+    )
+
+
+def paired_difference(
+    first: Sequence[bool], second: Sequence[bool], confidence: float = 0.95
+) -> Interval:
+    """Difference of two success rates over the same initial states, first - second.
+
+    Newcombe's interval from the two Wilson intervals and the correlation of the
+    outcomes (Newcombe 1998, method 10). Like McNemar's test it uses the pairing;
+    it also stays sensible where the two never disagree.
+
+    Args:
+        first: Success of one policy in each initial state. Shape (n,).
+        second: Success of the other in the same states. Shape (n,).
+        confidence: Coverage of the interval.
+
+    Raises:
+        ValueError: The two are empty or differ in length.
+
+    Example:
+        >>> gain = paired_difference([True] * 9 + [False], [True] * 4 + [False] * 6)
+        >>> f"{gain.estimate:+.2f} [{gain.low:+.2f}, {gain.high:+.2f}]"
+        '+0.50 [+0.08, +0.75]'
+    """
+    a, b = np.asarray(first, dtype=bool), np.asarray(second, dtype=bool)
+    if a.shape != b.shape or a.size == 0:
+        raise ValueError(f"{a.size} outcomes cannot be paired with {b.size}")
+    n = a.size
+    p, q = (wilson_interval(int(x.sum()), n, confidence) for x in (a, b))
+    phi = _correlation(a, b)
+    down_p, up_p = p.estimate - p.low, p.high - p.estimate
+    down_q, up_q = q.estimate - q.low, q.high - q.estimate
+    # The law of cosines: distances of correlated estimates subtract in part.
+    below = math.sqrt(down_p**2 - 2 * phi * down_p * up_q + up_q**2)
+    above = math.sqrt(up_p**2 - 2 * phi * up_p * down_q + down_q**2)
+    difference = p.estimate - q.estimate
+    return Interval(difference, difference - below, difference + above)
+
+
+def _correlation(a: npt.NDArray[np.bool_], b: npt.NDArray[np.bool_]) -> float:
+    """Phi coefficient of two sets of outcomes, with Newcombe's continuity term."""
+    n = a.size
+    both, neither = int((a & b).sum()), int((~a & ~b).sum())
+    only_a, only_b = int((a & ~b).sum()), int((~a & b).sum())
+    product = int(a.sum()) * int((~a).sum()) * int(b.sum()) * int((~b).sum())
+    if product == 0:
+        return 0.0
+    excess: float = both * neither - only_a * only_b
+    if excess > 0:
+        excess = max(excess - n / 2, 0)
+    return float(excess / math.sqrt(product))

@@ -1,0 +1,299 @@
+"""A recipe's options: dataclass defaults, then a YAML file, then ``key=value``.
+
+A recipe declares one dataclass whose fields are made by :func:`option`; nested
+dataclasses become groups with dotted names. :func:`parse` lays the sources over
+each other and reports every problem at once. Nothing here imports torch, so help
+and wrong input answer at once.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import yaml
+from omegaconf import DictConfig, OmegaConf, SCMode
+from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
+
+from rlco.errors import ConfigError, UnknownNameError
+from rlco.runs.options import REQUIRED as REQUIRED
+from rlco.runs.options import Option, help_table, options_of, unknown_option
+from rlco.runs.options import option as option
+
+_HELP = ("help", "--help", "-h")
+
+
+@dataclass
+class RunOptions:
+    """The options that every recipe with a run directory shares; inherit from it."""
+
+    name: str = option("run", "name of the run, a part of its folder's name")
+    seed: int = option(0, "seed of every random number", minimum=0)
+    threads: int = option(
+        1, "threads that torch may use on the CPU", minimum=1, may_change=True
+    )
+    out: str | None = option(
+        None, "run directory; null: outputs/RECIPE/DATE_NAME_sSEED", may_change=True
+    )
+    resume: str | None = option(
+        None, "run directory to continue with its own options", may_change=True
+    )
+
+
+@dataclass(frozen=True)
+class _Setting:
+    """One value given by the user, and the file it stands in ("": command line)."""
+
+    key: str
+    value: Any
+    source: str = ""
+
+    def problem(self, text: str) -> str:
+        return f"in {self.source}: {text}" if self.source else text
+
+
+def parse[C](config_class: type[C], argv: Sequence[str], recipe_path: str | Path) -> C:
+    """Build a recipe's configuration from its command line.
+
+    Args:
+        config_class: The recipe's dataclass of options.
+        argv: The arguments after the script's name: ``config=NAME|PATH`` (a YAML
+            file that holds only differences, looked up in the folder named like
+            the recipe and then beside it), ``key=value`` with dots for groups,
+            or ``help``, which prints the options and exits with status 0.
+        recipe_path: The recipe's script.
+
+    Returns:
+        An instance of ``config_class``. With ``resume=DIR`` its values are those
+        of that run, and only options declared with ``may_change`` may differ.
+
+    Raises:
+        ConfigError: Every problem found, together.
+
+    Example:
+        >>> @dataclass
+        ... class Config(RunOptions):
+        ...     lr: float = option(3e-4, "learning rate", minimum=0.0)
+        >>> parse(Config, ["lr=1e-3", "seed=2"], "recipes/sft.py").lr
+        0.001
+        >>> parse(Config, ["learning=1", "seed=x"], "recipes/sft.py")
+        Traceback (most recent call last):
+        rlco.errors.ConfigError: unknown option 'learning'; 'help' lists them all; \
+option seed: 'x' is not of type int.
+    """
+    recipe_path = Path(recipe_path)
+    if any(argument in _HELP for argument in argv):
+        sys.stdout.write(help_table(config_class, recipe_path, _configs(recipe_path)))
+        raise SystemExit(0)
+    options = options_of(config_class)
+    problems: list[str] = []
+    given = _command_line(argv, options, problems)
+    base = _base_settings(given, options, recipe_path, problems)
+    config: DictConfig = OmegaConf.structured(config_class)
+    _apply(config, base or [], options, problems)
+    saved = OmegaConf.create(config) if "resume" in given else None
+    _apply(config, [s for s in given.values() if s.key != "config"], options, problems)
+    if saved is not None and base:
+        _check_unchanged(saved, config, given, options, problems)
+    problems += [
+        f"option {key} is required: {entry.help}"
+        for key, entry in options.items()
+        if OmegaConf.select(config, key, throw_on_resolution_failure=False) is None
+        and entry.is_required
+        and key not in given
+        and base is not None
+    ]
+    if problems:
+        raise ConfigError(problems)
+    try:
+        # The structure behind config_class has checked every type already.
+        return cast(C, OmegaConf.to_object(config))
+    except OmegaConfBaseException as error:
+        raise ConfigError([str(error).splitlines()[0]]) from error
+
+
+def to_plain(config: object) -> dict[str, Any]:
+    """Return a configuration as nested plain dicts, lists, numbers and strings.
+
+    Example:
+        >>> to_plain(RunOptions(seed=3))["seed"]
+        3
+    """
+    container = OmegaConf.to_container(
+        OmegaConf.structured(config), structured_config_mode=SCMode.DICT
+    )
+    return cast(dict[str, Any], _plain(container))
+
+
+def to_yaml(config: object, *, leave_out: Sequence[str] = ()) -> str:
+    """Return a configuration as YAML that :func:`parse` reads back."""
+    plain = {k: v for k, v in to_plain(config).items() if k not in leave_out}
+    return yaml.safe_dump(plain, sort_keys=False, allow_unicode=True)
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+def _command_line(
+    argv: Sequence[str], options: Mapping[str, Option], problems: list[str]
+) -> dict[str, _Setting]:
+    """Split ``key=value`` arguments; each key may come once."""
+    given: dict[str, _Setting] = {}
+    for argument in argv:
+        key, equals, text = argument.partition("=")
+        if not equals or not key or key.startswith("-"):
+            hint = f"; write {argument.lstrip('-')}" if "=" in argument[1:] else ""
+            problems.append(f"argument {argument!r} is not key=value{hint}")
+            continue
+        if key in given:
+            problems.append(f"option {key} is given twice")
+            continue
+        value: Any = text
+        if key in options:
+            try:
+                value = options[key].from_text(text)
+            except yaml.YAMLError:
+                problems.append(f"option {key}: {text!r} is not a YAML value")
+                continue
+        given[key] = _Setting(key, value)
+    return given
+
+
+def _base_settings(
+    given: Mapping[str, _Setting],
+    options: Mapping[str, Option],
+    recipe_path: Path,
+    problems: list[str],
+) -> list[_Setting] | None:
+    """Read what lies below the command line: a YAML file, or the run to resume.
+
+    None where it cannot be read, so that nothing it may hold is called missing.
+    """
+    resumes = "resume" in given and "resume" in options
+    problems += [
+        f"{other}= and resume= cannot be given together"
+        for other in ("config", "out")
+        if resumes and other in given
+    ]
+    try:
+        if resumes:
+            path = Path(given["resume"].value or "") / "config.yaml"
+            if not path.is_file():
+                problems.append(
+                    f"resume={given['resume'].value!r} is not a run directory: it has "
+                    "no config.yaml; give the folder of an earlier run"
+                )
+                return None
+        elif "config" in given:
+            path = _config_file(str(given["config"].value), recipe_path)
+        else:
+            return []
+    except UnknownNameError as error:
+        problems.append(str(error).rstrip("."))
+        return None
+    return _read_yaml(path, options, problems)
+
+
+def _configs(recipe_path: Path) -> dict[str, Path]:
+    """Named configurations: in the recipe's own folder first, then beside it."""
+    folders = (recipe_path.parent, recipe_path.with_suffix(""))
+    return {path.stem: path for f in folders for path in sorted(f.glob("*.yaml"))}
+
+
+def _config_file(given: str, recipe_path: Path) -> Path:
+    if Path(given).suffix in (".yaml", ".yml") and Path(given).is_file():
+        return Path(given)
+    known = _configs(recipe_path)
+    if given not in known:
+        raise UnknownNameError("config", given, sorted(known) or ["PATH of a .yaml"])
+    return known[given]
+
+
+def _read_yaml(
+    path: Path, options: Mapping[str, Option], problems: list[str]
+) -> list[_Setting] | None:
+    try:
+        content = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
+    except (yaml.YAMLError, OSError, UnicodeDecodeError, ValueError) as error:
+        problems.append(
+            f"{path} cannot be read as YAML: {' '.join(str(error).split())}"
+        )
+        return None
+    if not isinstance(content, dict):
+        problems.append(f"{path} must hold key: value lines")
+        return None
+    settings = _flatten(content, options, str(path))
+    keys = [setting.key for setting in settings]
+    problems += [
+        f"in {path}: option {key} is given twice"
+        for key in dict.fromkeys(keys)
+        if keys.count(key) > 1
+    ]
+    return settings
+
+
+def _flatten(
+    content: Mapping[Any, Any],
+    options: Mapping[str, Option],
+    source: str,
+    prefix: str = "",
+) -> list[_Setting]:
+    settings = []
+    for name, value in content.items():
+        key = f"{prefix}{name}"
+        # A dict-valued option is a leaf; every other mapping is a group.
+        if isinstance(value, Mapping) and key not in options:
+            settings += _flatten(value, options, source, f"{key}.")
+        else:
+            settings.append(_Setting(key, value, source))
+    return settings
+
+
+def _apply(
+    config: DictConfig,
+    settings: Sequence[_Setting],
+    options: Mapping[str, Option],
+    problems: list[str],
+) -> None:
+    for setting in settings:
+        key = setting.key
+        if key not in options:
+            problems.append(setting.problem(unknown_option(key, options)))
+            continue
+        complaint = options[key].complaint(setting.value)
+        if complaint is None:
+            try:
+                OmegaConf.update(config, key, setting.value)
+                complaint = options[key].out_of_range(OmegaConf.select(config, key))
+            except InterpolationResolutionError:
+                complaint = f"{setting.value!r} refers to an option that is not set"
+            except OmegaConfBaseException:
+                complaint = f"{setting.value!r} is not of type {options[key].type_name}"
+        if complaint is not None:
+            problems.append(setting.problem(f"option {key}: {complaint}"))
+
+
+def _check_unchanged(
+    saved: DictConfig,
+    config: DictConfig,
+    given: Mapping[str, _Setting],
+    options: Mapping[str, Option],
+    problems: list[str],
+) -> None:
+    for key in given:
+        if key not in options or options[key].may_change:
+            continue
+        before, now = OmegaConf.select(saved, key), OmegaConf.select(config, key)
+        if before != now:
+            problems.append(
+                f"option {key} cannot change on resume: the run has {before!r}, "
+                f"given was {now!r}"
+            )

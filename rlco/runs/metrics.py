@@ -1,0 +1,138 @@
+"""A CSV file with one row per step, that a resumed run continues byte for byte."""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+
+class MetricsFile:
+    """A CSV file of numbers: one header, one row per step, steps increasing.
+
+    A name that first appears in a later row becomes a new last column; the file is
+    then rewritten, with that column empty above. Numbers are written so that they
+    read back exactly.
+
+    Args:
+        path: The file; made by the first row, continued where it exists.
+        keep_to: Last step to keep of an existing file; later rows, a row that was
+            cut off, and columns that only those rows filled are dropped, so that
+            the file is as it was after that step. None keeps no row.
+
+    Example:
+        >>> import tempfile
+        >>> file = MetricsFile(Path(tempfile.mkdtemp()) / "metrics.csv")
+        >>> file.append(1, {"loss": 0.1})
+        >>> file.append(2, {"loss": 0.25, "success_rate": 1})
+        >>> print(file.path.read_text(), end="")
+        step,loss,success_rate
+        1,0.1,
+        2,0.25,1
+    """
+
+    def __init__(self, path: Path, *, keep_to: int | None = None) -> None:
+        self.path = path
+        self._columns: list[str] = []
+        self._rows: list[dict[str, str]] = []
+        if path.exists():
+            self._restore(keep_to)
+
+    @property
+    def last_step(self) -> int | None:
+        """The step of the last row."""
+        return int(self._rows[-1]["step"]) if self._rows else None
+
+    def append(self, step: int, row: Mapping[str, Any]) -> None:
+        """Write one row; it is with the operating system when this returns.
+
+        Args:
+            step: Greater than that of the last row.
+            row: Numbers by name; scalar tensors and arrays count as numbers.
+
+        Raises:
+            ValueError: The step does not rise, or a name is not a plain column name.
+            TypeError: A value is not a number.
+        """
+        if self.last_step is not None and step <= self.last_step:
+            raise ValueError(f"step {step} after step {self.last_step}: steps rise")
+        cells = {"step": str(int(step))}
+        for name, value in row.items():
+            if name == "step" or not name or set(name) & set(',"\r\n'):
+                raise ValueError(f"{name!r} cannot name a column")
+            cells[name] = _number(name, value)
+        added = [name for name in cells if name not in self._columns]
+        self._columns += added
+        self._rows.append(cells)
+        if added:
+            self._rewrite()
+        else:
+            with self.path.open("a", encoding="utf-8", newline="") as file:
+                file.write(_line(cells, self._columns))
+
+    def rows(self) -> list[dict[str, float]]:
+        """Return every row as numbers by name, without the cells that are empty."""
+        return [{k: float(v) for k, v in row.items()} for row in self._rows]
+
+    @property
+    def last(self) -> dict[str, float]:
+        """The last row, as in :meth:`rows`."""
+        return {name: float(cell) for name, cell in self._rows[-1].items()}
+
+    def sync(self) -> None:
+        """Wait until every row is on the disk, not only with the operating system."""
+        if self.path.exists():
+            with self.path.open("rb") as file:
+                os.fsync(file.fileno())
+
+    def _restore(self, keep_to: int | None) -> None:
+        text = self.path.read_bytes().decode("utf-8")
+        whole = text[: text.rfind("\n") + 1]  # a killed writer may cut its last row
+        reader = csv.DictReader(io.StringIO(whole, newline=""))
+        for row in reader:
+            if keep_to is not None and int(row["step"]) <= keep_to:
+                self._rows.append({k: v for k, v in row.items() if v})
+        self._columns = [
+            name
+            for name in reader.fieldnames or []
+            if any(name in row for row in self._rows)
+        ]
+        self._rewrite()
+
+    def _rewrite(self) -> None:
+        part = self.path.with_name(f".{self.path.name}.part")
+        with part.open("w", encoding="utf-8", newline="") as file:
+            if self._columns:
+                file.write(",".join(self._columns) + "\n")
+            file.writelines(_line(row, self._columns) for row in self._rows)
+        part.replace(self.path)
+
+
+def read_metrics(path: Path) -> list[dict[str, float]]:
+    """Read a metrics file without changing it; empty cells are left out."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return [
+            {name: float(cell) for name, cell in row.items() if cell}
+            for row in csv.DictReader(file)
+        ]
+
+
+def _line(cells: Mapping[str, str], columns: list[str]) -> str:
+    return ",".join(cells.get(name, "") for name in columns) + "\n"
+
+
+def _number(name: str, value: Any) -> str:
+    if hasattr(value, "item"):
+        # Scalar arrays and tensors, without importing torch for it; what holds
+        # several numbers refuses and is named below.
+        with contextlib.suppress(ValueError, RuntimeError):
+            value = value.item()
+    if isinstance(value, bool | int):
+        return str(int(value))
+    if isinstance(value, float):
+        return repr(value)
+    raise TypeError(f"metric {name!r} is a {type(value).__name__}, not one number")

@@ -1,0 +1,270 @@
+"""One option of a recipe: its declaration, its checks and its line in the help."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import shutil
+import sys
+import textwrap
+import types
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING as NO_DEFAULT
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hints
+
+from omegaconf import MISSING, OmegaConf
+
+from rlco.errors import ConfigError, suggest
+
+#: The default of an option that somebody must give.
+REQUIRED: str = MISSING
+
+
+def rename_map(text: str) -> dict[str, str]:
+    """Read ``THEIRS:OURS,THEIRS:OURS``; what is theirs may hold colons.
+
+    Raises:
+        ConfigError: The text has another form.
+
+    Example:
+        >>> rename_map("state:observation.state,actions:action")
+        {'state': 'observation.state', 'actions': 'action'}
+    """
+    pairs = [pair.rpartition(":") for pair in text.split(",") if pair]
+    if not all(theirs and ours for theirs, _, ours in pairs):
+        raise ConfigError([f"rename={text!r} is not THEIRS:OURS,THEIRS:OURS"])
+    return {theirs: ours for theirs, _, ours in pairs}
+
+
+def option(
+    default: Any,
+    help: str,
+    *,
+    minimum: float | None = None,
+    maximum: float | None = None,
+    infinite: bool = False,
+    may_change: bool = False,
+) -> Any:
+    """Declare one option as a dataclass field.
+
+    Args:
+        default: Its value where nobody gives one; ``REQUIRED`` where somebody must.
+            A list or dict is copied for every configuration.
+        help: What it means, with its unit in brackets.
+        minimum: Least value allowed (of each number in a list).
+        maximum: Greatest value allowed.
+        infinite: Whether infinity means something; otherwise it is refused, as NaN is.
+        may_change: Whether a resumed run may have another value.
+
+    Example:
+        >>> @dataclass
+        ... class Config:
+        ...     lr: float = option(3e-4, "learning rate", minimum=0.0)
+        >>> Config().lr
+        0.0003
+    """
+    metadata = {
+        "help": help,
+        "minimum": minimum,
+        "maximum": maximum,
+        "infinite": infinite,
+        "may_change": may_change,
+    }
+    if isinstance(default, list | dict):
+        return field(default_factory=default.copy, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+@dataclass(frozen=True)
+class Option:
+    """An option as declared: its dotted name, its type and its limits."""
+
+    key: str
+    hint: Any
+    default: Any
+    help: str = ""
+    minimum: float | None = None
+    maximum: float | None = None
+    infinite: bool = False
+    may_change: bool = False
+
+    @property
+    def type_name(self) -> str:
+        """The type as a user would write it: ``int``, ``str | None``, ``'a' | 'b'``.
+
+        Example:
+            >>> Option("reward", Literal["shaped", "sparse"], "shaped").type_name
+            "'shaped' | 'sparse'"
+        """
+        return " | ".join(_type_name(member) for member in _members(self.hint))
+
+    @property
+    def is_required(self) -> bool:
+        """Whether somebody must give a value."""
+        return bool(self.default == REQUIRED)
+
+    def from_text(self, text: str) -> Any:
+        """Read the text behind ``key=``: as it is for text, as YAML for the rest.
+
+        Raises:
+            yaml.YAMLError: The text of a number, flag or list is no YAML.
+
+        Example:
+            >>> Option("out", str | None, None).from_text("007")
+            '007'
+            >>> Option("lr", float, 1.0).from_text("1e-3")
+            0.001
+        """
+        members = _members(self.hint)
+        if text in ("null", "~") and type(None) in members:
+            return None
+        if any(isinstance(c, str) for c in _choices(self.hint)) or any(
+            member in (str, Path) for member in members
+        ):
+            return text
+        # OmegaConf's own reading of YAML, for which 1e-3 is a number.
+        read = OmegaConf.to_container(OmegaConf.from_dotlist([f"value={text}"]))
+        return cast(dict[str, Any], read)["value"]
+
+    def complaint(self, value: Any) -> str | None:
+        """Say what is wrong with a value that the type alone would let through."""
+        if value == REQUIRED:
+            return "a value is missing"
+        choices = _choices(self.hint)
+        if choices and value not in choices and value is not None:
+            allowed = ", ".join(repr(choice) for choice in choices)
+            near = suggest(str(value), [str(choice) for choice in choices])
+            return f"{value!r} is not one of {allowed}{near}"
+        # OmegaConf takes any number for a flag; 2 is more likely a mistake.
+        if bool in _members(self.hint) and isinstance(value, int | float):
+            return None if isinstance(value, bool) else f"{value!r} is not of type bool"
+        return None
+
+    def out_of_range(self, value: Any) -> str | None:
+        """Say which limit a number, or a number in a list, breaks."""
+        if isinstance(value, bool) or value is None:
+            return None
+        if isinstance(value, Iterable) and not isinstance(value, str):
+            found = (self.out_of_range(item) for item in value)
+            return next((text for text in found if text), None)
+        if not isinstance(value, int | float):
+            return None
+        if math.isnan(value):
+            return "nan is not a number"
+        if math.isinf(value) and not self.infinite:
+            return f"{value!r} is not a finite number"
+        if self.minimum is not None and value < self.minimum:
+            return f"{value!r} is below the least allowed, {self.minimum!r}"
+        if self.maximum is not None and value > self.maximum:
+            return f"{value!r} is above the greatest allowed, {self.maximum!r}"
+        return None
+
+
+def options_of(config_class: type, prefix: str = "") -> dict[str, Option]:
+    """List a dataclass's options by dotted name, groups resolved, in their order.
+
+    Example:
+        >>> @dataclass
+        ... class Config:
+        ...     lr: float = option(3e-4, "learning rate")
+        >>> list(options_of(Config))
+        ['lr']
+    """
+    hints = get_type_hints(config_class)
+    found: dict[str, Option] = {}
+    for entry in dataclasses.fields(config_class):
+        key, hint = f"{prefix}{entry.name}", hints[entry.name]
+        if dataclasses.is_dataclass(hint) and isinstance(hint, type):
+            found |= options_of(hint, f"{key}.")
+            continue
+        default = entry.default
+        if default is NO_DEFAULT:
+            factory = entry.default_factory
+            default = REQUIRED if factory is NO_DEFAULT else factory()
+        found[key] = Option(key, hint, default, **entry.metadata)
+    return found
+
+
+def unknown_option(key: str, options: Mapping[str, Option]) -> str:
+    """Say that no option has this name, and which was probably meant."""
+    members = [name for name in options if name.startswith(f"{key}.")]
+    if members:
+        return f"option {key} is a group; give one of {', '.join(members)}"
+    near = suggest(key, [*options, "config"])
+    # A group's option that was given without its group's name.
+    inner = [name for name in options if name.rpartition(".")[2] == key]
+    if inner and not near:
+        near = f" (did you mean {inner[0]!r}?)"
+    return f"unknown option {key!r}{near}; 'help' lists them all"
+
+
+def help_table(config_class: type, recipe_path: Path, configs: Iterable[str]) -> str:
+    """Lay out the text that ``help`` prints: usage, configs, one line an option."""
+    options = options_of(config_class)
+    rows = [("option", "type", "default", "meaning")]
+    for key, entry in options.items():
+        default = "required" if entry.is_required else _show(entry.default)
+        rows.append((key, entry.type_name, default, entry.help + _limits(entry)))
+    widths = [min(36, max(len(row[i]) for row in rows)) for i in range(3)]
+    indent = sum(widths) + 6
+    room = max(30, shutil.get_terminal_size((100, 24)).columns - indent)
+    lines = [
+        f"usage: {_command(recipe_path)} [config=NAME|PATH] [key=value ...]",
+        f"configs: {', '.join(sorted(configs)) or 'none'}",
+        "",
+    ]
+    for row in rows:
+        left = "  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=False))
+        meaning = textwrap.wrap(row[3], room) or [""]
+        if len(left) > indent - 2:
+            lines.append(left.rstrip())
+            left = " " * (indent - 2)
+        lines.append(f"{left}  {meaning[0]}".rstrip())
+        lines += [" " * indent + text for text in meaning[1:]]
+    return "\n".join(lines) + "\n"
+
+
+def started_by_rlco() -> bool:
+    """Return whether this process is the command `rlco` of an installed package."""
+    return Path(sys.argv[0]).name == "rlco"
+
+
+def _command(recipe_path: Path) -> str:
+    if started_by_rlco():
+        return f"rlco {recipe_path.stem}"
+    return f"uv run {recipe_path.parent.name}/{recipe_path.name}"
+
+
+def _members(hint: Any) -> tuple[Any, ...]:
+    """The alternatives of a union; a type alone is its own only alternative."""
+    return get_args(hint) if get_origin(hint) in (Union, types.UnionType) else (hint,)
+
+
+def _choices(hint: Any) -> list[Any]:
+    members = _members(hint)
+    return [c for m in members if get_origin(m) is Literal for c in get_args(m)]
+
+
+def _type_name(hint: Any) -> str:
+    if get_origin(hint) is Literal:
+        return " | ".join(repr(choice) for choice in get_args(hint))
+    if hint is type(None):
+        return "null"
+    return hint.__name__ if get_origin(hint) is None else str(hint)
+
+
+def _show(default: Any) -> str:
+    if default is None or isinstance(default, bool):
+        return str(default).lower().replace("none", "null")
+    return str(default)
+
+
+def _limits(entry: Option) -> str:
+    parts = []
+    if entry.minimum is not None:
+        parts.append(f"at least {entry.minimum:g}")
+    if entry.maximum is not None:
+        parts.append(f"at most {entry.maximum:g}")
+    return f" ({', '.join(parts)})" if parts else ""

@@ -1,0 +1,92 @@
+"""The loop of Stage II: rollout, update, what they amount to, checkpoint."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING, Any, Protocol
+
+from rlco import keys
+
+if TYPE_CHECKING:
+    from tensordict import TensorDictBase
+
+    from rlco.training.learner import Learner
+    from rlco.training.run_protocols import Collector, TrainingRun
+
+Row = dict[str, Any]
+
+
+class LoopOptions(Protocol):
+    """Options of the loop itself.
+
+    Attributes:
+        iterations: Rollouts.
+        epochs: Passes over each.
+        critic_iterations: First rollouts that train the critic alone.
+    """
+
+    iterations: int
+    epochs: int
+    critic_iterations: int
+
+
+def co_train(
+    options: LoopOptions,
+    run: TrainingRun,
+    collector: Collector,
+    learner: Learner,
+    *,
+    check_first: Callable[[TensorDictBase], None],
+) -> Iterator[tuple[int, Row]]:
+    """Collect and learn, and yield the row of metrics.csv of each iteration.
+
+    The body of the loop adds to the row what it measures. Then the row is written, and
+    last a checkpoint is saved. A resumed run goes on after its last checkpoint.
+
+    Args:
+        options: How often.
+        run: Counts the iterations, and keeps rows and checkpoints.
+        collector: Plays the rollouts.
+        learner: Learns from them.
+        check_first: Checks the first rollout before anything is learned from it.
+
+    Yields:
+        The iteration, counted from 1, and its row: frames so far, return and success
+        of the rollout, and what the learner reports.
+    """
+    if (saved := run.load_checkpoint()) is not None:
+        learner.load(saved)
+    alone = options.critic_iterations if learner.critic is not None else 0
+    for iteration in run.iterations(options.iterations):
+        started = time.perf_counter()
+        rollout = collector.collect(iteration)
+        collected = time.perf_counter()
+        if iteration == 1:
+            check_first(rollout)
+        row = {"frames": iteration * collector.frames, **_played(rollout)}
+        # Every minibatch of every epoch draws its real rows anew.
+        row |= learner.update(rollout, options.epochs, train_policy=iteration > alone)
+        learned = time.perf_counter()
+        yield iteration, row
+        run.log_metrics(iteration, row)
+        run.log_timings(
+            iteration,
+            {
+                "collect": collected - started,
+                "learn": learned - collected,
+                "evaluate": time.perf_counter() - learned,
+                "frames_per_second": collector.frames / (learned - started),
+            },
+        )
+        run.save_checkpoint(iteration, learner.state())
+
+
+def _played(rollout: TensorDictBase) -> Row:
+    """Return what the episodes of a rollout came to."""
+    solved = rollout["next", keys.SUCCESS][:, -1]
+    return {
+        "return_mean": float(rollout["next", keys.REWARD].sum(1).mean()),
+        "success_rollout": float(solved.float().mean()),
+        "diverged": int(rollout["next", keys.DIVERGED].sum()),
+    }

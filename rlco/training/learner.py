@@ -1,0 +1,163 @@
+"""What Stage II trains, and one rollout's worth of training."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from tensordict import TensorDictBase
+from torch import Tensor, nn
+from torch.nn.utils import clip_grads_with_norm_
+from torch.optim import Optimizer
+
+from rlco import keys
+from rlco.finite import check_step, check_weights, gradient_norm
+from rlco.losses.co_training import CoTrainingLoss
+from rlco.losses.gradient_agreement import gradient_agreement
+from rlco.losses.log_probs import log_probs
+
+#: Clip of the critic's gradient norm: it cuts off outliers and nothing else.
+CRITIC_GRAD_NORM = 10.0
+
+
+@dataclass
+class Learner:
+    """A policy, its critic where there is one, their loss, rows and optimisers.
+
+    Attributes:
+        policy: The actor of the loss.
+        critic: None with critic-free advantages; offers ``own_parameters()``.
+        loss: PPO on ``sim``, imitation on ``real``.
+        buffer: A `rlco.data.SimRealReplayBuffer`, whose sim side holds the rollout.
+        actor_optimizer: Of the policy's parameters.
+        critic_optimizer: Of the critic's own parameters; None without one.
+        minibatch: Simulated decisions of a minibatch.
+        max_grad_norm: Clip of the policy's gradient norm, both terms together.
+    """
+
+    policy: Any
+    critic: Any
+    loss: CoTrainingLoss
+    buffer: Any
+    actor_optimizer: Optimizer
+    critic_optimizer: Optimizer | None
+    minibatch: int
+    max_grad_norm: float = 1.0
+    _updates: int = field(default=0, init=False)
+
+    def update(
+        self, rollout: TensorDictBase, epochs: int, *, train_policy: bool = True
+    ) -> dict[str, float]:
+        """Pass over a rollout, each minibatch with freshly drawn real rows.
+
+        The old log-probability is computed here, on the rows it will be compared on:
+        the first ratio is 1.
+
+        Args:
+            rollout: Decisions with advantages, any batch shape.
+            epochs: Passes.
+            train_policy: Whether the policy moves, or the critic alone.
+
+        Returns:
+            Means over the minibatches of what the loss reports; ``log_prob_gap``, how
+            far the rollout's own log-probability was off at most; ``first_ratio``, the
+            largest ratio of the first minibatch; and, where there is an anchor, the
+            gradients' comparison in the first minibatch.
+
+        Raises:
+            NonFiniteError: The loss, its gradient or a weight is NaN or infinite. No
+                step follows such a gradient.
+        """
+        row = self._store(rollout)
+        self._updates = 0
+        sums: dict[str, float] = {}
+        minibatches = 0
+        for _ in range(epochs):
+            for batch in self.buffer:
+                if minibatches == 0 and keys.REAL in batch:
+                    row |= gradient_agreement(self.loss, batch)
+                out = self.loss(batch)
+                if minibatches == 0:
+                    row["first_ratio"] = float(out["max_ratio"])
+                self._step(out, train_policy=train_policy)
+                minibatches += 1
+                for name, value in out.items():
+                    sums[name] = sums.get(name, 0.0) + float(value.detach())
+        self._check_weights()
+        return row | {name: total / minibatches for name, total in sums.items()}
+
+    def _store(self, rollout: TensorDictBase) -> dict[str, float]:
+        """Put a rollout into the buffer, with the learner's own log-probability."""
+        kept = [*self.policy.replay_keys, keys.LOG_PROB, keys.ADVANTAGE]
+        if self.critic is not None:
+            kept += [*self.critic.in_keys, keys.VALUE_TARGET, keys.STATE_VALUE]
+        flat = rollout.select(*kept).reshape(-1)  # text and raw actions stay behind
+        computed = log_probs(self.policy, flat, rows=self.minibatch)
+        gap = (computed - flat[keys.LOG_PROB]).abs().max()
+        flat.set(keys.LOG_PROB, computed)
+        self.buffer.empty()
+        self.buffer.extend(flat)
+        return {"log_prob_gap": float(gap)}
+
+    def _step(self, out: TensorDictBase, *, train_policy: bool) -> None:
+        """Follow the gradient of a loss's terms once."""
+        self.actor_optimizer.zero_grad()
+        if self.critic_optimizer is not None:
+            self.critic_optimizer.zero_grad()
+        terms = {k: v for k, v in out.items() if k.startswith("loss_")}
+        sum(terms.values()).backward()
+        parts: list[tuple[list[nn.Parameter], float]] = []
+        if self.critic_optimizer is not None:
+            parts.append((self.critic.own_parameters(), CRITIC_GRAD_NORM))
+        if train_policy:
+            parts.append((list(self.policy.parameters()), self.max_grad_norm))
+        self._clip([terms], parts)
+        if self.critic_optimizer is not None:
+            self.critic_optimizer.step()
+        if train_policy:
+            self.actor_optimizer.step()
+
+    def _clip(
+        self,
+        terms: Sequence[Mapping[str, Tensor]],
+        parts: Sequence[tuple[Sequence[nn.Parameter], float]],
+    ) -> None:
+        """Clip each part's gradients to its limit, where they and the terms are finite.
+
+        Args:
+            terms: The loss's terms, of every minibatch that the gradients come from.
+            parts: Weights that are clipped together, with the limit of their norm.
+        """
+        self._updates += 1
+        norms = [gradient_norm(part) for part, _ in parts]
+        named = [pair for one in terms for pair in one.items()]
+        check_step(self._now(), named, norms, self._modules())
+        for (part, limit), norm in zip(parts, norms, strict=True):
+            clip_grads_with_norm_(part, limit, norm)
+
+    def _check_weights(self) -> None:
+        check_weights(self._now(), self._modules())
+
+    def _now(self) -> str:
+        return f"update {self._updates} of the rollout"
+
+    def _modules(self) -> dict[str, nn.Module]:
+        both = {"policy": self.policy, "critic": self.critic}
+        return {name: part for name, part in both.items() if part is not None}
+
+    def state(self) -> dict[str, Any]:
+        """Return what a checkpoint holds; the rollout is not part of it."""
+        state = {name: dict(part.state_dict()) for name, part in self._parts().items()}
+        return state | {"buffer": self.buffer.state_dict(rows=False)}
+
+    def load(self, state: dict[str, Any]) -> None:
+        """Go on from a checkpoint."""
+        for name, part in self._parts().items():
+            part.load_state_dict(state[name])
+        self.buffer.load_state_dict(state["buffer"])
+
+    def _parts(self) -> dict[str, Any]:
+        names = ("policy", "critic", "actor_optimizer", "critic_optimizer")
+        found = {name: getattr(self, name) for name in names}
+        return {name: part for name, part in found.items() if part is not None}

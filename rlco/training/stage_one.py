@@ -1,0 +1,289 @@
+"""Stage I: imitation of simulated and real demonstrations, mixed by sim_ratio."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from rlco.errors import ConfigError
+from rlco.runs.config import option
+from rlco.runs.indices import index_list
+from rlco.runs.options import rename_map
+from rlco.training import policy_options
+from rlco.training.policy_options import LARGEST_LR, SIM_CAMERA, PolicyOptions
+
+if TYPE_CHECKING:
+    from rlco.data import DemoReplayBuffer, SimRealReplayBuffer
+    from rlco.data.recorded_task import RecordedTask
+    from rlco.losses import CoTrainingLoss
+    from rlco.physics.robosuite.tasks import RobosuiteTask
+    from rlco.physics.spec.task import Task
+    from rlco.policies import ChunkPolicy
+    from rlco.training.run_protocols import TrainingRun
+
+
+type AnyTask = Task | RobosuiteTask | RecordedTask
+
+
+@dataclass
+class StageOneOptions(PolicyOptions):
+    """Options of Stage I."""
+
+    name: str = option("sft", "name of the run, a part of its folder's name")
+    task: str | None = option(
+        "push_cube",
+        "name of the task; null: a robot that no simulator has, sizes from the data",
+    )
+    sim_demos: str | None = option(None, "LeRobot folder of simulated demonstrations")
+    real_demos: str | None = option(None, "LeRobot folder of real demonstrations")
+    episodes: str = option(
+        "", "episodes of real_demos that are trained on, 0-19,25; empty: all"
+    )
+    sim_episodes: str = option("", "the same of sim_demos")
+    rename: str = option(
+        "", "features of real_demos with other names: THEIRS:OURS,THEIRS:OURS"
+    )
+    real_camera: str | None = option(
+        None, "camera of real_demos that is read; null: its only one"
+    )
+    sim_ratio: float = option(0.5, "alpha, the share of sim", minimum=0, maximum=1)
+    chunk: int = option(4, "control steps of an action chunk", minimum=1)
+    hidden: list[int] = option([256, 256], "width of each hidden layer", minimum=1)
+    updates: int = option(1500, "optimiser steps", minimum=1)
+    log_every: int = option(100, "updates between rows of metrics.csv", minimum=1)
+    batch_size: int = option(256, "rows of a batch, both kinds together", minimum=1)
+    lr: float = option(
+        1e-3,
+        "learning rate, falling to 0 along a cosine",
+        minimum=0,
+        maximum=LARGEST_LR,
+    )
+    weight_decay: float = option(1e-4, "AdamW's weight decay", minimum=0)
+    eval_episodes: int = option(128, "episodes of the evaluation; 0: none", minimum=0)
+    eval_domains: list[str] = option(
+        ["sim", "stand_in"],
+        "domains to evaluate in: names, MODULE:NAME, or paths of effects.yaml files",
+    )
+    effects_code: str | None = option(
+        None, "Python file that registers effects of your own"
+    )
+
+
+class StageOneDemos(NamedTuple):
+    """A task and demonstrations of it for Stage I; None where they have no share."""
+
+    task: AnyTask
+    sim: DemoReplayBuffer | None
+    real: DemoReplayBuffer | None
+
+    def present(self) -> list[DemoReplayBuffer]:
+        """Return those that there are."""
+        return [demos for demos in (self.sim, self.real) if demos is not None]
+
+
+def task_of(options: StageOneOptions) -> AnyTask:
+    """Return the task that the options name, or the one that their data describe.
+
+    Raises:
+        UnknownNameError: There is no such task.
+        ConfigError: No task is named and there is something to evaluate.
+        DataError: The data sets cannot be read, or are not of one robot.
+    """
+    from rlco.data.recorded_task import recorded_task
+    from rlco.lerobot_files import read_folder
+    from rlco.physics.tasks.named_task import named_task
+
+    if options.task is not None:
+        return named_task(options.task)
+    if options.eval_episodes:
+        raise ConfigError(
+            ["task=null has no simulator to evaluate in; give eval_episodes=0 with it"]
+        )
+    renames = {"sim_demos": {}, "real_demos": rename_map(options.rename)}
+    return recorded_task(
+        {
+            name: read_folder(getattr(options, name), rename=rename)
+            for name, rename in renames.items()
+            if _needs(options)[name]
+        }
+    )
+
+
+def new_policy(options: StageOneOptions, task: AnyTask | None = None) -> ChunkPolicy:
+    """Return a new policy of the kind and the size that the options give."""
+    task = task or task_of(options)
+    return policy_options.new_policy(
+        options, task=task, chunk=options.chunk, hidden=list(options.hidden)
+    )
+
+
+def check_stage_one(
+    options: StageOneOptions, task: AnyTask | None = None
+) -> ChunkPolicy:
+    """Check what the options say of each other; return a policy that they describe."""
+    policy_options.check_image_options(options)
+    policy = new_policy(options, task)
+    if options.eval_episodes and options.eval_domains and options.task is not None:
+        policy_options.check_rendered(policy, options.task)
+    return policy
+
+
+def load_stage_one(options: StageOneOptions) -> StageOneDemos:
+    """Load the demonstrations that sim_ratio asks for, and check all options.
+
+    Raises:
+        ConfigError: Options that cannot be, or a data set that is not given.
+        DataError: A data set that does not fit the task.
+    """
+    from rlco.data import load_task_demos
+
+    needed = _needs(options)
+    task = None if options.task is None else task_of(options)
+    problems = [
+        f"sim_ratio={options.sim_ratio} needs {name}=FOLDER"
+        for name, need in needed.items()
+        if need and getattr(options, name) is None
+    ]
+    if problems:
+        raise ConfigError(problems)
+    task = task or task_of(options)
+    image_size = check_stage_one(options, task).image_size
+    poses = options.use_environment_state and bool(task.environment_state_names)
+
+    def load(
+        name: str, episodes: str, rename: str, camera: str | None
+    ) -> DemoReplayBuffer | None:
+        if not needed[name]:
+            return None
+        return load_task_demos(
+            getattr(options, name),
+            task,
+            chunk=options.chunk,
+            episodes=index_list(episodes),
+            rename=rename,
+            image_size=image_size,
+            camera=camera,
+            environment_state=poses,
+        )
+
+    # A set that was not recorded by rlco has a camera of another name, or one alone.
+    sim_camera = SIM_CAMERA if options.task is not None else None
+    demos = StageOneDemos(
+        task,
+        sim=load("sim_demos", options.sim_episodes, "", sim_camera),
+        real=load("real_demos", options.episodes, options.rename, options.real_camera),
+    )
+    policy_options.augment(options, *demos.present())
+    return demos
+
+
+def _needs(options: StageOneOptions) -> dict[str, bool]:
+    """Return which data sets have a share in training, by their options' names."""
+    return {"sim_demos": options.sim_ratio > 0, "real_demos": options.sim_ratio < 1}
+
+
+def train_stage_one(
+    options: StageOneOptions, run: TrainingRun, demos: StageOneDemos
+) -> ChunkPolicy:
+    """Imitate demonstrations, and save the policy to the run's folder ``policy``.
+
+    L = alpha L_BC(sim) + (1 - alpha) L_BC(real), alpha = sim_ratio.
+    """
+    from rlco.data import SimRealReplayBuffer
+    from rlco.losses import CoTrainingLoss, ImitationLoss
+    from rlco.policies import save_policy
+
+    policy = build_policy(options, demos)
+    buffer = SimRealReplayBuffer(
+        demos.sim,
+        demos.real,
+        sim_ratio=options.sim_ratio,
+        batch_size=options.batch_size,
+    )
+    loss = CoTrainingLoss(
+        ImitationLoss(policy) if demos.sim is not None else None,
+        ImitationLoss(policy) if demos.real is not None else None,
+        sim_coeff=options.sim_ratio,
+        real_coeff=1.0 - options.sim_ratio,
+    )
+    imitate(options, run, policy, loss, buffer)
+    save_policy(
+        policy,
+        run.path / "policy",
+        extra={"sim_ratio": options.sim_ratio, **demos.task.description()},
+    )
+    return policy
+
+
+def build_policy(options: StageOneOptions, demos: StageOneDemos) -> ChunkPolicy:
+    """Return a new policy, its normalisation fixed by the demonstrations."""
+    from rlco import keys
+    from rlco.data import exact_quantiles
+
+    policy = new_policy(options, demos.task)
+    frames = [one.frames() for one in demos.present()]
+
+    def quantiles(key: Any) -> Any:
+        return exact_quantiles(*(rows[key].numpy() for rows in frames))
+
+    policy.set_normalization(
+        state=quantiles(keys.STATE),
+        environment_state=quantiles(keys.ENVIRONMENT_STATE)
+        if keys.ENVIRONMENT_STATE in policy.in_keys
+        else None,
+        action=quantiles(keys.ACTION),
+    )
+    return policy
+
+
+def imitate(
+    options: StageOneOptions,
+    run: TrainingRun,
+    policy: ChunkPolicy,
+    loss: CoTrainingLoss,
+    buffer: SimRealReplayBuffer,
+) -> None:
+    """Follow the loss for ``updates`` steps, from the run's last checkpoint on.
+
+    Raises:
+        NonFiniteError: The loss, its gradient or a weight is NaN or infinite. No step
+            follows such a gradient.
+    """
+    import torch
+
+    from rlco.finite import check_step, check_weights, gradient_norm
+
+    optimizer = torch.optim.AdamW(
+        loss.parameters(), lr=options.lr, weight_decay=options.weight_decay
+    )
+    schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, options.updates)
+    if (saved := run.load_checkpoint()) is not None:
+        loss.load_state_dict(saved["loss"])
+        optimizer.load_state_dict(saved["optimizer"])
+        schedule.load_state_dict(saved["schedule"])
+        buffer.load_state_dict(saved["buffer"])
+    for block in run.iterations(-(-options.updates // options.log_every)):
+        done = (block - 1) * options.log_every
+        totals: dict[str, float] = {}
+        for index in range(count := min(options.log_every, options.updates - done)):
+            update = f"update {done + index + 1}"
+            terms = loss(buffer.sample())
+            optimizer.zero_grad()
+            sum(terms.values()).backward()
+            norms = [gradient_norm(loss.parameters())]
+            check_step(update, terms.items(), norms, {"policy": policy})
+            optimizer.step()
+            schedule.step()
+            for name, value in terms.items():
+                totals[name] = totals.get(name, 0.0) + float(value.detach()) / count
+        check_weights(update, {"policy": policy})
+        run.log_metrics(block, {"updates": done + count, **totals})
+        run.save_checkpoint(
+            block,
+            {
+                "loss": dict(loss.state_dict()),
+                "optimizer": optimizer.state_dict(),
+                "schedule": schedule.state_dict(),
+                "buffer": buffer.state_dict(rows=False),
+            },
+        )

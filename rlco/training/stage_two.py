@@ -1,0 +1,332 @@
+"""Stage II: what reinforcement learning anchored to real demonstrations consists of."""
+
+from __future__ import annotations
+
+import logging
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
+
+from rlco import keys
+from rlco.errors import ConfigError
+from rlco.runs.config import REQUIRED, option
+from rlco.runs.indices import index_list
+from rlco.training.policy_options import (
+    LARGEST_LR,
+    AugmentOptions,
+    augment,
+    check_rendered,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from torchrl.data import ReplayBuffer
+    from torchrl.objectives import ClipPPOLoss
+
+    from rlco.data import DemoReplayBuffer
+    from rlco.losses import CoTrainingLoss
+    from rlco.policies import ChunkPolicy
+    from rlco.training.learner import Learner
+
+
+log = logging.getLogger("rlco.training")
+
+
+@dataclass
+class StageTwoOptions(AugmentOptions):
+    """Options of Stage II."""
+
+    name: str = option("rl_co", "name of the run, a part of its folder's name")
+    policy: str = option(REQUIRED, "folder of the policy that Stage I saved")
+    task: str = option("push_cube", "name of the task")
+    real_demos: str | None = option(None, "LeRobot folder of real demonstrations")
+    episodes: str = option(
+        "", "episodes of real_demos that are trained on, 0-19,25; empty: all"
+    )
+    rename: str = option(
+        "", "features of real_demos with other names: THEIRS:OURS,THEIRS:OURS"
+    )
+    real_camera: str | None = option(
+        None, "camera of these and of heldout_demos that is read; null: its only one"
+    )
+    heldout_demos: str | None = option(
+        None, "LeRobot folder of real demonstrations to measure forgetting on"
+    )
+    heldout_episodes: str = option("", "episodes of heldout_demos; empty: all")
+    real_coeff: float = option(0.2, "beta, weight of the real anchor", minimum=0)
+    iterations: int = option(50, "rollouts", minimum=1, may_change=True)
+    num_envs: int = option(128, "episodes of a rollout", minimum=1)
+    horizon: int | None = option(
+        None,
+        "control steps of a training episode, truncated; null: the task's",
+        minimum=1,
+    )
+    backend: Literal["native", "robosuite"] = option("native", "who steps the model")
+    reward: Literal["shaped", "sparse"] = option("shaped", "reward of a control step")
+    epochs: int = option(4, "passes over a rollout", minimum=1)
+    minibatch: int = option(512, "simulated decisions of a minibatch", minimum=1)
+    real_rows: int = option(128, "real rows of a minibatch", minimum=1)
+    lr: float = option(
+        2e-4, "learning rate of the policy", minimum=0, maximum=LARGEST_LR
+    )
+    clip: float = option(0.2, "PPO's clip of the ratio", minimum=0)
+    advantage: Literal["gae", "mc"] = option(
+        "gae", "by a critic, or by returns within groups that start alike"
+    )
+    group_size: int = option(8, "mc: episodes of a group", minimum=2)
+    gamma: float = option(0.9, "gae: discount a decision", minimum=0, maximum=1)
+    lmbda: float = option(0.95, "GAE's lambda", minimum=0, maximum=1)
+    critic: Literal["network", "head"] = option(
+        "network", "gae: of its own, or a head on a token policy's state"
+    )
+    critic_hidden: list[int] = option(
+        [256, 256], "gae: width of each hidden layer of the critic", minimum=1
+    )
+    critic_lr: float = option(
+        1e-3, "gae: learning rate of the critic", minimum=0, maximum=LARGEST_LR
+    )
+    critic_iterations: int = option(
+        3, "gae: first rollouts that train the critic alone", minimum=0
+    )
+    max_grad_norm: float = option(
+        1.0, "clip of the gradient's norm; inf: none", minimum=0, infinite=True
+    )
+    eval_every: int = option(10, "rollouts between evaluations", minimum=1)
+    eval_episodes: int = option(64, "episodes of an evaluation; 0: none", minimum=0)
+    eval_domains: list[str] = option(
+        ["sim", "stand_in"],
+        "domains to evaluate in: names, MODULE:NAME, or paths of effects.yaml files",
+    )
+    train_domain: str = option(
+        "sim", "domain to train in: a name, MODULE:NAME, or the path of an effects.yaml"
+    )
+    effects_code: str | None = option(
+        None, "Python file that registers effects of your own"
+    )
+
+
+class StageTwoDemos(NamedTuple):
+    """Real demonstrations of Stage II: the anchor's, and those never trained on."""
+
+    real: DemoReplayBuffer | None
+    heldout: DemoReplayBuffer | None
+
+
+class AnchoredOptions(Protocol):
+    """Options that every Stage II has, also that of large models."""
+
+    real_demos: str | None
+    real_coeff: float
+    advantage: Literal["gae", "mc"]
+    num_envs: int
+    group_size: int
+
+
+class RolloutOptions(Protocol):
+    """Options that say how long a rollout is."""
+
+    task: str
+    num_envs: int
+    horizon: int | None
+
+
+def stage_two_problems(options: AnchoredOptions) -> list[str]:
+    """Return what the options contradict each other in."""
+    problems = []
+    if options.advantage == "mc" and options.num_envs % options.group_size:
+        problems.append(
+            f"num_envs={options.num_envs} is not a multiple of "
+            f"group_size={options.group_size}, as advantage='mc' needs"
+        )
+    if options.real_coeff > 0 and options.real_demos is None:
+        problems.append(
+            f"real_coeff={options.real_coeff} needs real_demos=FOLDER; "
+            "real_coeff=0 is reinforcement learning alone"
+        )
+    return problems
+
+
+def check_stage_two(options: AnchoredOptions) -> None:
+    """Check what the options say of each other.
+
+    Raises:
+        ConfigError: They contradict each other; every problem is reported.
+    """
+    if problems := stage_two_problems(options):
+        raise ConfigError(problems)
+
+
+def load_stage_two(options: StageTwoOptions) -> tuple[ChunkPolicy, StageTwoDemos]:
+    """Load the policy and the demonstrations, and check that they fit the task.
+
+    Raises:
+        ConfigError: Options that cannot be.
+        CheckpointError: A policy that cannot be loaded, or is of another task.
+        DataError: A data set that does not fit the task.
+    """
+    from rlco.data import load_task_demos
+    from rlco.physics.tasks.named_task import named_task
+    from rlco.policies import load_task_policy
+
+    task = named_task(options.task)
+    policy = load_task_policy(options.policy, task)
+    make_critic(options, policy)  # whether such a policy can have it shows here
+    check_stage_two(options)
+    check_rendered(policy, options.task)
+    if options.augment and policy.image_size is None:
+        raise ConfigError(
+            [f"augment=true changes images, but policy {options.policy!r} reads none"]
+        )
+
+    def load(path: str | None, episodes: str) -> DemoReplayBuffer | None:
+        if path is None:
+            return None
+        return load_task_demos(
+            path,
+            task,
+            chunk=policy.chunk,
+            episodes=index_list(episodes),
+            rename=options.rename,
+            image_size=policy.image_size,
+            camera=options.real_camera,
+            environment_state=keys.ENVIRONMENT_STATE in policy.in_keys,
+        )
+
+    demos = StageTwoDemos(
+        load(options.real_demos, options.episodes),
+        load(options.heldout_demos, options.heldout_episodes),
+    )
+    augment(options, demos.real)
+    if options.horizon is not None and demos.real is not None:
+        warn_of_cut_off(options.horizon, demos.real)
+    return policy, demos
+
+
+def warn_of_cut_off(horizon: int, demos: DemoReplayBuffer) -> None:
+    """Warn where training episodes end before most demonstrations do."""
+    lengths = demos.meta.episode_lengths
+    longer = sum(length > horizon for length in lengths)
+    if longer > len(lengths) / 2:
+        log.warning(
+            "%d of %d demonstrations in %s last longer than horizon=%d, the longest "
+            "%d control steps: RL will not see a task solved that takes as long; give "
+            "a longer horizon, or leave it out",
+            longer,
+            len(lengths),
+            demos.meta.path,
+            horizon,
+            max(lengths),
+        )
+
+
+def make_critic(options: StageTwoOptions, policy: ChunkPolicy) -> Any:
+    """Return the critic, None where the advantages need none."""
+    from rlco.physics.tasks.named_task import named_task
+    from rlco.policies import ValueHead, ValueNetwork, task_sizes
+
+    if options.advantage == "mc":
+        return None
+    if options.critic == "head":
+        return ValueHead(policy, hidden=options.critic_hidden)
+    sizes: dict[str, Any] = task_sizes(named_task(options.task))
+    # The simulator knows the poses, whether or not the policy may: no need of images.
+    knows_poses = bool(sizes["environment_state_size"])
+    image = None if knows_poses else policy.arguments.get("image")
+    critic = ValueNetwork(hidden=options.critic_hidden, image=image, **sizes)
+    # What both read they normalise alike.
+    critic.encoder.load_state_dict(policy.encoder.state_dict(), strict=False)
+    return critic
+
+
+def fix_pose_range(critic: Any, policy: ChunkPolicy) -> Callable[[Any], None] | None:
+    """Return what fixes a critic's range of poses by the first rollout it is given.
+
+    None where no critic reads poses, or the policy has brought their range: one that
+    reads images alone knows none. What the first rollout fixes is in all checkpoints.
+    """
+    pose = keys.ENVIRONMENT_STATE
+    if critic is None or pose not in critic.in_keys or pose in policy.in_keys:
+        return None
+    waiting = [critic]
+
+    def fix(rollout: Any) -> None:
+        from rlco.data import exact_quantiles
+
+        for one in waiting:
+            quantiles = exact_quantiles(rollout[pose].flatten(0, 1).numpy())
+            one.set_normalization(environment_state=quantiles)
+        waiting.clear()
+
+    return fix
+
+
+def rollout_rows(options: RolloutOptions, chunk: int) -> int:
+    """Return how many decisions a rollout has, of so many control steps each."""
+    from rlco.physics.tasks.named_task import training_horizon
+
+    horizon = training_horizon(options.task, options.horizon)
+    return options.num_envs * math.ceil(horizon / chunk)
+
+
+def make_ppo(
+    policy: Any, critic: Any, *, clip: float, functional: bool = True
+) -> ClipPPOLoss:
+    """Return PPO's clipped loss as all of Stage II has it: no bonus for entropy."""
+    from torchrl.objectives import ClipPPOLoss
+
+    return ClipPPOLoss(
+        policy,
+        critic,
+        functional=functional,
+        clip_epsilon=clip,
+        entropy_bonus=False,
+        critic_coeff=1.0 if critic is not None else None,
+        loss_critic_type="l2",
+    )
+
+
+def make_learner(
+    options: StageTwoOptions,
+    loss: CoTrainingLoss,
+    policy: ChunkPolicy,
+    critic: Any,
+    real: ReplayBuffer | None,
+    *,
+    rows: int,
+) -> Learner:
+    """Return what follows the loss: minibatches of rollouts, and an optimiser each.
+
+    Args:
+        options: Sizes, learning rates and clips.
+        loss: PPO on ``sim``, imitation on ``real`` where there is an anchor.
+        policy: The actor of the loss.
+        critic: Its critic, None with critic-free advantages.
+        real: The anchor's demonstrations; None without one.
+        rows: Decisions of a rollout.
+    """
+    import torch
+    from torchrl.data import LazyTensorStorage, ReplayBuffer
+
+    from rlco.data import SimRealReplayBuffer
+    from rlco.training.learner import Learner
+
+    batch_size = options.minibatch + (options.real_rows if real is not None else 0)
+    buffer = SimRealReplayBuffer(
+        ReplayBuffer(storage=LazyTensorStorage(rows)),
+        real,
+        sim_ratio=options.minibatch / batch_size,
+        batch_size=batch_size,
+    )
+    return Learner(
+        policy,
+        critic,
+        loss,
+        buffer,
+        torch.optim.Adam(policy.parameters(), lr=options.lr),
+        None
+        if critic is None
+        else torch.optim.Adam(critic.own_parameters(), lr=options.critic_lr),
+        minibatch=options.minibatch,
+        max_grad_norm=options.max_grad_norm,
+    )

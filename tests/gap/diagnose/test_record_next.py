@@ -1,0 +1,271 @@
+"""What to record next: safe motions, and the one on which rivals differ most."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from bench_runs import write_run
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from small_problems import ARM
+
+from rlco.errors import OutputExistsError
+from rlco.gap import load_model, make_problem, read_log
+from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.compare.problem import Candidate, Gap, Hypothesis, NamedEffect, Verdict
+from rlco.gap.diagnose.command_file import write_commands
+from rlco.gap.diagnose.motions import KINDS, Workspace, workspace_of
+from rlco.gap.diagnose.record_next import Motion, recommend, separations
+from rlco.gap.logs.log import Array, Log, Recording
+from rlco.gap.search.fit import fit, library_of
+from rlco.lerobot_files import read_columns, read_folder
+from rlco.physics.effects import AppliedEffect
+
+NOISE = 4e-4
+JOINTS = ("shoulder", "elbow")
+DAMPING = AppliedEffect("viscous_damping", "elbow", {"damping": 0.8})
+LAG = Candidate("actuator_lag", "elbow")
+
+
+def slow_commands(seconds: float = 12.0) -> tuple[Array, Array]:
+    """Commands of a slow demonstration at 50 Hz: times, goals (T, 2)."""
+    time = np.arange(round(50 * seconds)) / 50
+    # From rest: a start at full speed would show more than the motion.
+    swing = 0.3 * (1.0 - np.cos(np.outer(time, [0.7, 0.8])))
+    return time, swing
+
+
+def recorded(
+    effects: tuple[AppliedEffect, ...], time: Array, goals: Array, noise: float = NOISE
+) -> ArmRollouts:
+    """The arm's problem with a log that was recorded under effects."""
+    spec = mujoco.MjSpec.from_string(ARM)
+    still = np.zeros_like(goals)
+    blank = Recording("a", time, goals.copy(), still, goals)
+    problem = ArmRollouts(spec, Log((blank,), JOINTS, JOINTS), np.full(2, NOISE))
+    true = problem.traces(Hypothesis(effects), 0)["simulated"]
+    rng = np.random.default_rng(0)
+    told = true + noise * rng.standard_normal(true.shape)
+    told[0] = true[0]
+    log = Log((Recording("a", time, told, None, goals),), JOINTS, JOINTS)
+    return ArmRollouts(spec, log, np.full(2, NOISE))
+
+
+def ambiguous(rivals: tuple[Candidate, ...] = (LAG,)) -> Verdict:
+    finding = NamedEffect(DAMPING.name, DAMPING.target, {}, rivals)
+    gap = Gap("rad", 1e-3, 1e-3, NOISE, NOISE, NOISE)
+    effects = Hypothesis((DAMPING,))
+    return Verdict(True, "ambiguous", (finding,), gap, {}, (), 1.0, effects, (0,), (0,))
+
+
+# -- Motions -------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
+@settings(max_examples=8, deadline=None)
+@given(
+    low=st.floats(-2.0, 0.5),
+    span=st.floats(0.1, 4.0),
+    speed=st.floats(0.1, 4.0),
+    at=st.floats(0.0, 1.0),
+    rate=st.sampled_from([20.0, 30.0, 50.0, 100.0]),
+)
+def test_motions_stay_in_range_and_below_speed_and_come_home(
+    kind: object, low: float, span: float, speed: float, at: float, rate: float
+) -> None:
+    workspace = Workspace(
+        ("a", "b"),
+        np.array([low, -1.0]),
+        np.array([low + span, 1.0]),
+        np.array([speed, 1.0]),
+        np.array([low + at * span, 0.2]),
+        rate,
+    )
+    goals = kind.make(workspace, [0])
+    assert goals.shape == (round(20 * rate), 2)
+    assert (goals[:, 0] >= low - 1e-9).all()
+    assert (goals[:, 0] <= low + span + 1e-9).all()
+    assert np.abs(np.diff(goals[:, 0])).max() * rate <= speed * 1.001
+    np.testing.assert_allclose(
+        goals[[0, -1]], np.tile(workspace.home, (2, 1)), atol=1e-9
+    )
+    # The other joint was not asked to move.
+    assert (goals[:, 1] == 0.2).all()
+
+
+def test_each_kind_moves_as_it_says() -> None:
+    workspace = Workspace(
+        ("a",), np.array([-1.0]), np.array([1.0]), np.array([2.0]), np.zeros(1), 50.0
+    )
+    goals = {kind.name: kind.make(workspace, [0])[:, 0] for kind in KINDS}
+    speed = {name: np.abs(np.diff(row)) * 50 for name, row in goals.items()}
+    # Slowly: a fifth of the largest speed at most, but for the way home.
+    assert np.median(speed["slow_triangle"]) < 0.4
+    assert np.mean(speed["holds"] < 1e-9) > 0.3
+    assert np.mean(speed["fast_sweep"] > 1.5) > 0.5
+    # Several constant speeds, each for a tenth of a second or more.
+    speeds, counts = np.unique(speed["cruises"].round(6), return_counts=True)
+    assert ((counts >= 5) & (speeds > 0)).sum() >= 4
+    # The last seconds of a chirp turn more often than the first.
+    turns = np.flatnonzero(np.diff(np.sign(np.diff(goals["chirp"]))))
+    assert (turns > 500).sum() > 3 * (turns <= 500).sum()
+    jumps = np.flatnonzero(np.diff((speed["big_steps"] > 1.5).astype(int)) == 1)
+    assert len(jumps) >= 6
+
+
+def test_a_robots_room_is_what_its_log_shows() -> None:
+    time = np.arange(1000) / 50
+    moving = 0.5 + 0.4 * np.sin(2.0 * time)
+    positions = np.stack([moving, np.full(1000, 0.2)], axis=1)
+    limited = ARM.replace('name="elbow" axis', 'name="elbow" range="-5 15" axis')
+    model = mujoco.MjModel.from_xml_string(limited)
+    log = Log((Recording("a", time, positions),), JOINTS, JOINTS)
+    workspace = workspace_of(model, log)
+    np.testing.assert_allclose(workspace.low[0], 0.1, atol=0.01)
+    np.testing.assert_allclose(workspace.high[0], 0.9, atol=0.01)
+    assert workspace.speed[0] == pytest.approx(0.8, rel=0.02)
+    # A joint that did not move: near where it was, within 5 % of its limits of
+    # -5 and 15 degrees, at a quarter of the other's speed.
+    assert np.degrees(workspace.low[1]) == pytest.approx(-4.0)
+    assert np.degrees(workspace.high[1]) == pytest.approx(14.0)
+    assert workspace.speed[1] == pytest.approx(0.25 * workspace.speed[0])
+    assert workspace.rate == 50.0
+
+
+# -- Which motion --------------------------------------------------------------
+
+
+def test_numbers_that_may_follow_tell_nothing_apart() -> None:
+    problem = recorded((), *slow_commands())
+    other = AppliedEffect("viscous_damping", "elbow", {"damping": 0.82})
+    own = Candidate("viscous_damping", "elbow")
+    friction = AppliedEffect("coulomb_friction", "elbow", {"frictionloss": 0.2})
+    rival = Candidate("coulomb_friction", "elbow")
+    apart = separations(problem, (DAMPING,), {own: (other,), rival: (friction,)})
+    assert apart[own] < 0.05
+    assert apart[rival] > 1.5
+
+
+def test_the_motion_tells_rivals_apart_that_the_log_does_not() -> None:
+    time, goals = slow_commands()
+    problem = recorded((DAMPING,), time, goals)
+    # On the slow log a lag does as well as the damping, which is the truth.
+    assert best_cost(problem, LAG) < 1.1 * best_cost(problem, Candidate(*WHAT))
+    (motion,) = recommend(problem, ambiguous())
+    assert motion.tells_apart == (Candidate(*WHAT), LAG)
+    assert motion.separation is not None
+    assert motion.separation > 0.5
+
+    # Recorded, it does what it promised.
+    commands = np.asarray(motion.commands)
+    times = np.arange(len(commands)) / motion.fps
+    after = recorded((DAMPING,), times, commands)
+    true, false = best_cost(after, Candidate(*WHAT)), best_cost(after, LAG)
+    assert true == pytest.approx(1.0, abs=0.2)
+    assert false - true > 0.5 * motion.separation**2
+
+
+WHAT = ("viscous_damping", "elbow")
+
+
+def best_cost(problem: ArmRollouts, candidate: Candidate) -> float:
+    library = library_of(problem)
+    (known,) = library[candidate]
+    starts = [
+        [AppliedEffect(candidate.name, candidate.target, {known.name: start})]
+        for start in known.starts
+    ]
+
+    def whiten(lists: list[tuple[AppliedEffect, ...]]) -> Array:
+        return problem.residuals([Hypothesis(e) for e in lists]) / NOISE
+
+    return min(one.cost for one in fit(library, starts, whiten))
+
+
+def test_a_joint_that_never_moved_is_to_be_moved() -> None:
+    time, goals = slow_commands()
+    goals[:, 1] = 0.0
+    problem = recorded((), time, goals, noise=0.0)
+    (motion,) = recommend(problem, ambiguous(rivals=()))
+    assert motion.name == "fast_sweep_elbow"
+    assert np.ptp(np.asarray(motion.commands)[:, 1]) > 0.3
+    assert np.ptp(np.asarray(motion.commands)[:, 0]) == 0.0
+
+
+def test_a_bench_is_to_be_loaded_otherwise(tmp_path: Path) -> None:
+    write_run(tmp_path, "run", 200.0, "sines", seconds=5.0)
+    loaded = load_model("bam:xl330")
+    problem = make_problem(loaded, read_log(tmp_path, loaded))
+    loss, limit = (Candidate(name, "servo") for name in ("drive_loss", "torque_limit"))
+    finding = NamedEffect(loss.name, loss.target, {}, (limit,))
+    (motion,) = recommend(problem, replace(ambiguous(), effects=(finding,)))
+    assert motion.tells_apart == (loss, limit)
+    assert "heavier and a lighter pendulum" in motion.how
+    assert motion.save(tmp_path)["commands"] is None
+
+
+def test_nothing_is_recommended_where_nothing_is_unclear() -> None:
+    assert recommend(recorded((), *slow_commands()), ambiguous(rivals=())) == []
+
+
+# -- Files ---------------------------------------------------------------------
+
+
+def saved(folder: Path) -> tuple[Motion, dict[str, object]]:
+    rng = np.random.default_rng(1)
+    commands = rng.standard_normal((60, 2))
+    motion = Motion(
+        "chirp_elbow", "Swing elbow.", (LAG,), 12.34, commands, ("a.pos", "b.pos"), 30
+    )
+    return motion, motion.save(folder)
+
+
+def test_a_motion_is_saved_as_a_data_set_that_rlco_reads(tmp_path: Path) -> None:
+    motion, row = saved(tmp_path)
+    assert row == {
+        "motion": "chirp_elbow",
+        "how": "Swing elbow.",
+        "tells_apart": "actuator lag at elbow",
+        "noise_floors": 12.3,
+        "seconds": 20.0,
+        "commands": "record_next/chirp_elbow",
+    }
+    folder = read_folder(tmp_path / "record_next" / "chirp_elbow")
+    assert folder.fps == 30
+    assert folder.tasks == {0: "Swing elbow."}
+    assert folder.feature("action").names == ("a.pos", "b.pos")
+    numbers = read_columns(folder, ["action", "timestamp"])
+    np.testing.assert_allclose(numbers["action"], motion.commands, atol=1e-6)
+    with pytest.raises(OutputExistsError):
+        motion.save(tmp_path)
+
+
+def test_lerobots_own_reader_gives_the_frames_that_it_would_replay(
+    tmp_path: Path,
+) -> None:
+    from lerobot import datasets  # takes seconds
+
+    motion, row = saved(tmp_path)
+    # As lerobot-replay opens it, and reads each row's action.
+    dataset = datasets.LeRobotDataset(
+        "local/chirp", root=tmp_path / str(row["commands"]), episodes=[0]
+    )
+    assert dataset.fps == 30
+    assert dataset.num_frames == 60
+    names = dataset.features["action"]["names"]
+    assert names == ["a.pos", "b.pos"]
+    actions = dataset.hf_dataset.select_columns("action")
+    got = np.stack([np.asarray(actions[i]["action"]) for i in range(60)])
+    np.testing.assert_allclose(got, motion.commands, atol=1e-6)
+    assert dataset[3]["task"] == "Swing elbow."
+
+
+def test_commands_are_not_written_over(tmp_path: Path) -> None:
+    folder = tmp_path / "commands"
+    write_commands(folder, np.zeros((5, 1)), names=["j"], fps=10, task="rest")
+    with pytest.raises(OutputExistsError):
+        write_commands(folder, np.zeros((5, 1)), names=["j"], fps=10, task="rest")

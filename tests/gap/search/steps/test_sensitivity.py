@@ -1,0 +1,62 @@
+"""What the spread does is measured again where effects make an arm sensitive to it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from hidden_arms import TWO_LINKS, record
+
+from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.search.fit import linearise
+from rlco.gap.search.state import State
+from rlco.gap.search.steps.sensitivity import rewhiten
+from rlco.gap.search.steps.start import start
+from rlco.physics.effects import AppliedEffect
+
+
+@pytest.fixture
+def state(monkeypatch: pytest.MonkeyPatch) -> State:
+    """A state whose best effect, much damping, always counts as sensitive."""
+    monkeypatch.setattr("rlco.gap.search.steps.sensitivity.GREW", 0.0)
+    spec = mujoco.MjSpec.from_string(TWO_LINKS)
+    first = start(ArmRollouts(spec, record(), np.full(2, 4e-4)))
+    much = AppliedEffect("viscous_damping", "shoulder", {"damping": 3.0})
+    first, (found,) = first.fit([[much]])
+    return replace(first, best=found)
+
+
+def test_what_was_tried_is_forgotten_where_the_spread_weighs_otherwise(
+    state: State,
+) -> None:
+    setting = state.setting
+    nothing = linearise(setting.library, (), setting.whiten)
+    (before,) = setting.score([nothing])
+    again = rewhiten(state)
+    assert again.scores.keys() == {frozenset(), again.best.names}
+    assert again.none.error != pytest.approx(before.error, rel=1e-5)
+    assert not np.allclose(again.setting.weights.moved, setting.weights.moved)
+
+
+def test_the_weights_and_the_fits_of_a_state_are_of_one_spread(state: State) -> None:
+    """Scores that were weighted otherwise cannot be compared."""
+    again = rewhiten(state)
+    for one in again.scores.values():
+        rows = np.hstack(
+            [
+                again.setting.residuals([one.effects], part)
+                for part in (again.setting.train, again.setting.heldout)
+            ]
+        )
+        whitened = again.setting.weights.together.whiten(rows[0])
+        np.testing.assert_allclose(one.everything, whitened)
+
+
+def test_an_arm_that_is_not_more_sensitive_keeps_its_weights() -> None:
+    spec = mujoco.MjSpec.from_string(TWO_LINKS)
+    first = start(ArmRollouts(spec, record(), np.full(2, 4e-4)))
+    again = rewhiten(first)
+    assert again.setting is first.setting
+    assert again.sensitivity == pytest.approx(1.0)

@@ -1,0 +1,125 @@
+"""The whole workflow, called by a program."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from small_problems import write_case
+
+from rlco.errors import DataError, OutputExistsError, RlcoError
+from rlco.gap import Finding, run_gap
+from rlco.physics.effects import EFFECTS, AppliedEffect
+
+DAMPING = AppliedEffect("viscous_damping", "shoulder", {"damping": 0.6})
+# Left out where it does not matter what else is tried.
+MOST = set(EFFECTS) - {"viscous_damping", "coulomb_friction"}
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    return write_case(tmp_path_factory.mktemp("case"), DAMPING)
+
+
+@pytest.fixture(scope="module")
+def said() -> list[tuple[str, float]]:
+    return []
+
+
+@pytest.fixture(scope="module")
+def finding(case: tuple[Path, Path], said: list[tuple[str, float]]) -> Finding:
+    return run_gap(*case, threads=1, progress=lambda *step: said.append(step))
+
+
+def test_a_program_gets_what_was_found(finding: Finding) -> None:
+    assert finding.complete
+    assert finding.verdict.verdict == "named"
+    (effect,) = finding.effects
+    assert (effect.name, effect.target) == ("viscous_damping", "shoulder")
+    assert effect.parameters["damping"].value == pytest.approx(0.6, rel=0.05)
+    assert finding.gap.after_heldout < 0.1 * finding.gap.before_heldout
+    assert finding.where.informative[0].target == "shoulder"
+    assert len(finding.regimes) == len(finding.log.recordings) == 6
+    assert finding.seconds >= finding.verdict.seconds > 0
+    assert finding.summary()[0].startswith("named: Missing from the model: viscous")
+
+
+def test_progress_tells_what_is_done_and_how_far_it_is(
+    finding: Finding, said: list[tuple[str, float]]
+) -> None:
+    sentences = [sentence for sentence, _ in said]
+    assert any(sentence.startswith("screening ") for sentence in sentences)
+    assert "viscous_damping shoulder" in sentences
+    assert all(0.0 <= part <= 1.0 for _, part in said)
+    assert said[-1][1] == 1.0
+
+
+def test_nothing_is_written_until_it_is_asked_for(
+    finding: Finding, case: tuple[Path, Path], tmp_path: Path
+) -> None:
+    assert {path.name for path in case[0].parent.iterdir()} == {"arm.xml", "logs"}
+    page = finding.write(tmp_path / "new" / "report", command="make it")
+    assert "make it" in page.read_text("utf-8")
+    files = {path.name for path in page.parent.iterdir()}
+    assert {"report.json", "model.xml", "model.diff", "effects.yaml"} <= files
+    content = json.loads((page.parent / "report.json").read_text())
+    assert content["effects"][0]["name"] == "viscous_damping"
+    with pytest.raises(OutputExistsError):
+        finding.write(page.parent)
+
+
+def test_what_was_found_is_written_without_simulating_again(
+    finding: Finding, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def simulated(*_: object) -> None:
+        raise AssertionError("writing simulates")
+
+    arm = "rlco.gap.compare.arm.rollouts.ArmRollouts"
+    monkeypatch.setattr(f"{arm}.residuals", simulated)
+    monkeypatch.setattr(f"{arm}.traces", simulated)
+    finding.write(tmp_path)
+    assert (tmp_path / "report.html").exists()
+
+
+def test_an_interrupted_search_is_returned_and_can_be_written(
+    case: tuple[Path, Path], tmp_path: Path
+) -> None:
+    stopped: list[str] = []
+
+    def once(sentence: str, part: float) -> None:
+        if part > 0 and not stopped:
+            stopped.append(sentence)
+            raise KeyboardInterrupt
+
+    finding = run_gap(*case, exclude=MOST, threads=1, progress=once)
+    assert not finding.complete
+    assert not finding.motions
+    assert [effect.name for effect in finding.effects] == ["viscous_damping"]
+    page = finding.write(tmp_path / "report")
+    assert "The search was stopped early" in page.read_text("utf-8")
+
+
+def test_an_interruption_after_the_search_keeps_its_verdict(
+    case: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("rlco.gap.workflow.recommend", interrupted)
+    finding = run_gap(*case, exclude=MOST, threads=1)
+    assert finding.verdict.complete
+    assert not finding.complete
+    assert finding.effects
+
+
+def test_wrong_input_is_refused_before_anything_is_simulated(
+    case: tuple[Path, Path], tmp_path: Path
+) -> None:
+    model, data = case
+    with pytest.raises(RlcoError, match="is not a file"):
+        run_gap(tmp_path / "nowhere.xml", data)
+    with pytest.raises(DataError, match="does not exist"):
+        run_gap(model, tmp_path / "nowhere")
+    with pytest.raises(RlcoError, match="is not a file"):
+        run_gap(model, data, effects_code=tmp_path / "nowhere.py")

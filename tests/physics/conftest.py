@@ -1,8 +1,0 @@
-"""The pairs that are compared here lie with the benchmark that measures them."""
-
-from __future__ import annotations
-
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).parents[2] / "benchmarks"))

@@ -1,0 +1,163 @@
+"""Figures: what is drawn is what was measured, and is called what it is."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from rlco.reporting.plot_style import METHOD_STYLES, READING, styles
+from rlco.reporting.plots import (
+    Curve,
+    episode_strip,
+    gradient_terms,
+    imitation_error,
+    learning_curves,
+    save_figure,
+    success_bars,
+)
+from rlco.reporting.statistics import ResultRow, mean_interval, wilson_interval
+
+
+def row(method: str, domain: str, successes: int, seed: int = 0) -> ResultRow:
+    return {
+        "method": method,
+        "task": "push_cube",
+        "policy": "gaussian",
+        "domain": domain,
+        "variation": None,
+        "seed": seed,
+        "episodes": 20,
+        "successes": successes,
+    }
+
+
+def bars(figure: Figure) -> list[float]:
+    return [patch.get_height() for patch in figure.axes[0].patches]
+
+
+def interval_lines(figure: Figure) -> list[tuple[float, float]]:
+    return [
+        (segment[0][1], segment[1][1])
+        for lines in figure.axes[0].collections
+        for segment in lines.get_segments()
+    ]
+
+
+def texts(figure: Figure) -> str:
+    figure.canvas.draw()
+    every = (
+        item.get_text() for item in figure.findobj(lambda a: hasattr(a, "get_text"))
+    )
+    return " | ".join(every)
+
+
+def test_bars_show_rate_and_wilson_interval_of_one_seed() -> None:
+    figure = success_bars([row("rl_co", "stand_in", 17), row("sft", "stand_in", 5)])
+    # The comparison's order, not the order given.
+    assert bars(figure) == [0.25, 0.85]
+    expected = [wilson_interval(5, 20)[1:], wilson_interval(17, 20)[1:]]
+    assert np.allclose(interval_lines(figure), expected)
+    assert "n = 20 episodes per bar; black line: 95 % Wilson interval." in texts(figure)
+
+
+def test_bars_show_mean_interval_and_every_seed_of_several() -> None:
+    figure = success_bars(
+        [row("sft", "sim", k, seed) for seed, k in enumerate((8, 12))]
+    )
+    assert bars(figure) == [0.5]
+    low, high = mean_interval([0.4, 0.6])[1:]
+    assert interval_lines(figure) == [(max(low, 0), min(high, 1))]
+    (dots,) = figure.axes[0].lines
+    assert list(dots.get_ydata()) == [0.4, 0.6]
+    assert "Mean of 2 seeds" in texts(figure)
+
+
+def test_missing_cell_leaves_a_gap_and_keeps_the_legend() -> None:
+    figure = success_bars([row("sft", "sim", 4), row("rl_co", "stand_in", 6)])
+    centres = [p.get_x() + p.get_width() / 2 for p in figure.axes[0].patches]
+    assert centres == pytest.approx([0 - 0.21, 1 + 0.21])
+    labels = [text.get_text() for text in figure.legends[0].get_texts()]
+    assert labels == ["sft", "rl_co"]
+
+
+def curve(method: str, domain: str, *seeds: list[float]) -> Curve:
+    return Curve(method, domain, [0, 1000, 2000], seeds, episodes=50)
+
+
+def test_curve_shows_mean_and_the_seed_that_ends_lowest() -> None:
+    up, down = [0.2, 0.5, 0.8], [0.4, 0.7, 0.6]
+    (axes,) = learning_curves([curve("rl_co", "stand_in", up, down)]).axes
+    mean, worst = axes.lines
+    assert np.allclose(mean.get_ydata(), [0.3, 0.6, 0.7])
+    assert list(worst.get_ydata()) == down
+    assert worst.get_linestyle() == ":"
+
+
+def test_curve_of_one_seed_has_a_wilson_band() -> None:
+    (axes,) = learning_curves([curve("rl_co", "sim", [0.2, 0.5, 0.8])]).axes
+    (band,) = axes.collections
+    heights = band.get_paths()[0].vertices[:, 1]
+    assert heights.min() == pytest.approx(wilson_interval(10, 50).low)
+    assert heights.max() == pytest.approx(wilson_interval(40, 50).high)
+
+
+def test_curve_with_other_frames_than_rates_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"shape \(1, 2\), expected \(seeds, 3\)"):
+        learning_curves([curve("rl_co", "sim", [0.2, 0.5])])
+
+
+def test_gradient_ratio_is_real_over_sim() -> None:
+    figure = gradient_terms([0, 1], [2.0, 4.0], [1.0, 8.0], [0.5, -0.5])
+    ratio = figure.axes[1].lines[0].get_ydata()
+    assert list(ratio) == [0.5, 2.0]
+
+
+def test_no_figure_lets_a_reader_think_that_a_robot_moved() -> None:
+    frame = np.zeros((4, 6, 3), np.uint8)
+    for figure in (
+        success_bars([row("sft", "stand_in", 3)]),
+        learning_curves([curve("sft", "stand_in", [0.1, 0.2, 0.3])]),
+        episode_strip([frame, frame], [0.0, 0.5], "stand_in"),
+    ):
+        assert "(a second simulator, not a robot)" in texts(figure)
+
+
+def test_an_episode_names_its_policy_and_its_instruction() -> None:
+    frame = np.zeros((4, 6, 3), np.uint8)
+    words = {"policy": "rl_co", "instruction": "push the red cube"}
+    figure = episode_strip([frame], [0.0], "sim", **words)
+    assert figure.get_label().startswith('Policy rl_co, asked to "push the red cube". ')
+
+
+def test_methods_look_different() -> None:
+    looks = styles([*METHOD_STYLES, "mine", "yours"])
+    assert len({colour for colour, _ in looks.values()}) == len(looks)
+    assert len({marker for _, marker in looks.values()}) == len(looks)
+
+
+def test_saved_figure_carries_title_and_how_to_read_it(tmp_path: Path) -> None:
+    frames = [0.0, 100.0]
+    save_figure(
+        imitation_error({"rl_co": (frames, [0.1, 0.2])}), tmp_path / "new" / "a.png"
+    )
+    with Image.open(tmp_path / "new" / "a.png") as image:
+        assert image.width == 1440
+        assert image.text["Title"] == "Forgetting the demonstrations"
+        assert image.text["Comment"] == READING["Forgetting the demonstrations"]
+        assert image.text["Description"].startswith("Imitation loss on demonstrations")
+
+
+def test_every_figure_of_rlco_says_how_to_read_it() -> None:
+    frame = np.zeros((4, 6, 3), np.uint8)
+    figures = (
+        success_bars([row("sft", "sim", 3)]),
+        learning_curves([curve("sft", "sim", [0.1, 0.2, 0.3])]),
+        gradient_terms([0, 1], [1, 1], [1, 1], [0, 0]),
+        imitation_error({"sft": ([0, 1], [1, 1])}),
+        episode_strip([frame], [0.0], "sim"),
+    )
+    assert [figure.get_suptitle() for figure in figures] == list(READING)

@@ -1,0 +1,144 @@
+"""The command `rlco`, in this checkout and from a wheel in another environment."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import sysconfig
+from pathlib import Path
+
+import pytest
+
+from rlco import cli
+
+ROOT = Path(__file__).parents[1]
+EXAMPLE = ROOT / "docs" / "example"
+
+
+def test_the_list_is_of_all_recipes(capsys: pytest.CaptureFixture[str]) -> None:
+    cli.main(["list"])
+    lines = capsys.readouterr().out.splitlines()
+    files = sorted(path.stem for path in (ROOT / "recipes").glob("*.py"))
+    assert [line.split()[0] for line in lines] == files
+    assert all(line.endswith(".") and len(line.split()) > 4 for line in lines)
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        (["quickstar"], "(did you mean 'quickstart'?)"),
+        (["nothing-like-it"], "recipes are close_loop, evaluate,"),
+        (["list", "all"], "rlco list takes no arguments, not 'all'"),
+        (["copy"], "takes the name of one recipe, not 0 arguments"),
+        (["copy", "sfd"], "(did you mean 'sft'?)"),
+        (["sft", "updatez=3"], "did you mean 'updates'"),
+    ],
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
+)
+def test_wrong_use_ends_with_a_sentence_and_status_2(
+    given: list[str], said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as end:
+        cli.main(given)
+    assert end.value.code == 2
+    assert said in capsys.readouterr().err
+
+
+def test_a_copied_recipe_runs_and_is_not_overwritten(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    cli.main(["copy", "sft"])
+    copied = tmp_path / "sft.py"
+    copied.write_text(copied.read_text().replace("Stage I", "My stage"))
+    command = [sys.executable, "sft.py", "help"]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert "configs: debug" in done.stdout
+    with pytest.raises(SystemExit):
+        cli.main(["copy", "sft"])
+    assert "'sft.py' exists in this folder and is not" in capsys.readouterr().err
+    assert "My stage" in copied.read_text()
+
+
+def test_info_names_what_is_missing(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    wanted = ["torch>=2.11,<2.12", "numpy<1", "no-such-library>=3"]
+    monkeypatch.setattr("rlco.installation.requires", lambda name: wanted)
+    with pytest.raises(SystemExit) as end:
+        cli.main(["info"])
+    said = capsys.readouterr().out
+    assert end.value.code == 1
+    assert "\ntorch 2.11" in said
+    assert "missing: no-such-library; pip install 'no-such-library>=3'" in said
+    assert "missing: numpy 2." in said
+    assert "pip install 'numpy<1'" in said
+
+
+@pytest.fixture(scope="module")
+def installed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return an environment with the wheel alone, which sees the others' packages."""
+    folder = tmp_path_factory.mktemp("installed")
+    build = [sys.executable, "-m", "hatchling", "build", "-t", "wheel", "-d", folder]
+    subprocess.run(build, cwd=ROOT, check=True, capture_output=True)
+    (wheel,) = folder.glob("*.whl")
+    make = [sys.executable, "-m", "venv", "--without-pip", folder / "venv"]
+    subprocess.run(make, check=True)
+    python = folder / "venv" / "bin" / "python"
+    pip = [sys.executable, "-m", "pip", "--python", python, "install", "--quiet"]
+    subprocess.run([*pip, "--no-deps", "--no-index", wheel], check=True)
+    (site,) = (folder / "venv").glob("lib/python3.*/site-packages")
+    # A plain path: the file there that makes this checkout importable is not read.
+    (site / "others.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    return folder / "venv" / "bin"
+
+
+def run(installed: Path, folder: Path, *argv: str) -> str:
+    """Run the installed command in a folder; return what it printed."""
+    kept = {k: v for k, v in os.environ.items() if k != "PYTHONPATH"}
+    command = [str(installed / "rlco"), *argv]
+    done = subprocess.run(
+        command, cwd=folder, env=kept, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stdout + done.stderr
+
+
+@pytest.mark.slow
+def test_the_wheel_says_where_it_is(installed: Path, tmp_path: Path) -> None:
+    said = run(installed, tmp_path, "info")
+    assert f"in {installed.parent}" in said.splitlines()[0]
+    assert run(installed, tmp_path, "--version").strip() == rlco_version()
+
+
+@pytest.mark.slow
+def test_the_wheel_finds_what_the_example_lacks(
+    installed: Path, tmp_path: Path
+) -> None:
+    given = [f"model={EXAMPLE / 'arm.xml'}", f"data={EXAMPLE / 'logs'}"]
+    run(installed, tmp_path, "find_gap", *given, "out=gap_report")
+    report = json.loads((tmp_path / "gap_report" / "report.json").read_text())
+    found = {one["name"]: one["parameters"] for one in report["effects"]}
+    assert report["verdict"] == "named"
+    assert set(found) == {"command_delay", "payload"}
+    assert found["command_delay"]["delay"]["value"] == pytest.approx(0.036, abs=5e-4)
+    assert found["payload"]["mass"]["value"] == pytest.approx(0.35, rel=0.02)
+    assert found["payload"]["x"]["value"] == pytest.approx(0.3, abs=0.01)
+
+
+@pytest.mark.slow
+def test_the_wheel_runs_the_quickstart(installed: Path, tmp_path: Path) -> None:
+    said = run(installed, tmp_path, "quickstart", "config=debug", "out=run")
+    assert "report: run/report.html" in said
+    origin = json.loads((tmp_path / "run" / "run.json").read_text())
+    assert origin["command"] == "rlco quickstart config=debug out=run"
+
+
+def rlco_version() -> str:
+    import rlco
+
+    return rlco.__version__

@@ -1,0 +1,162 @@
+"""Training on one rollout: what moves, what is told, what a checkpoint holds."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import pytest
+import torch
+from loss_cases import demonstrations, make_networks, observations
+from tensordict import TensorDictBase
+from torchrl.data import LazyTensorStorage, ReplayBuffer
+from torchrl.objectives import ClipPPOLoss
+
+from rlco.data import SimRealReplayBuffer
+from rlco.errors import NonFiniteError
+from rlco.losses import CoTrainingLoss, ImitationLoss
+from rlco.training import Learner
+
+LOG_PROB = ("vla_action", "log_probs")
+
+
+def make_learner(*, critic: bool = True, anchored: bool = True) -> Learner:
+    """Return a learner of minibatches of 8 decisions and, anchored, 4 real rows."""
+    torch.manual_seed(0)
+    policy, value = make_networks()
+    real = ReplayBuffer(storage=LazyTensorStorage(10))
+    real.extend(demonstrations(10))
+    ppo = ClipPPOLoss(
+        policy,
+        value if critic else None,
+        entropy_bonus=False,
+        critic_coeff=1.0 if critic else None,
+    )
+    return Learner(
+        policy,
+        value if critic else None,
+        CoTrainingLoss(
+            ppo,
+            ImitationLoss(policy) if anchored else None,
+            real_coeff=0.2 if anchored else 0.0,
+        ),
+        SimRealReplayBuffer(
+            ReplayBuffer(storage=LazyTensorStorage(16)),
+            real if anchored else None,
+            sim_ratio=8 / 12 if anchored else 1.0,
+            batch_size=12 if anchored else 8,
+        ),
+        torch.optim.Adam(policy.parameters(), 1e-2),
+        torch.optim.Adam(value.parameters(), 1e-2) if critic else None,
+        minibatch=8,
+    )
+
+
+def rollout(learner: Learner) -> TensorDictBase:
+    with torch.no_grad():
+        td = learner.policy(observations(16)).reshape(4, 4)
+    td["advantage"] = torch.randn(4, 4, 1)
+    if learner.critic is not None:
+        td["value_target"], td["state_value"] = torch.randn(2, 4, 4, 1)
+    return td
+
+
+def weights(module: Any) -> torch.Tensor:
+    return torch.cat([p.detach().flatten().clone() for p in module.parameters()])
+
+
+def test_the_first_ratio_is_one_however_wrong_the_rollouts_log_probability() -> None:
+    learner = make_learner()
+    td = rollout(learner)
+    td[LOG_PROB] += 0.25
+    told = learner.update(td, epochs=2)
+    assert told["first_ratio"] == pytest.approx(1.0, abs=1e-5)
+    assert told["log_prob_gap"] == pytest.approx(0.25, abs=1e-4)
+    # Two epochs of two minibatches moved the policy away from it.
+    assert told["max_ratio"] > 1.001
+    assert {"grad_norm_ratio", "loss_bc_real", "loss_critic"} <= told.keys()
+
+
+def test_the_critic_can_be_trained_alone() -> None:
+    learner = make_learner()
+    before = weights(learner.policy), weights(learner.critic)
+    told = learner.update(rollout(learner), epochs=1, train_policy=False)
+    assert torch.equal(weights(learner.policy), before[0])
+    assert not torch.equal(weights(learner.critic), before[1])
+    assert told["max_ratio"] == pytest.approx(1.0, abs=1e-5)
+
+
+def test_without_critic_and_anchor_the_policy_alone_is_trained() -> None:
+    learner = make_learner(critic=False, anchored=False)
+    before = weights(learner.policy)
+    told = learner.update(rollout(learner), epochs=1)
+    assert not torch.equal(weights(learner.policy), before)
+    assert not {"loss_critic", "loss_bc_real", "grad_cosine"} & told.keys()
+    assert learner.state().keys() == {"policy", "actor_optimizer", "buffer"}
+
+
+def test_a_learner_goes_on_from_its_state_as_if_never_stopped() -> None:
+    learner = make_learner()
+    first, second = rollout(learner), rollout(learner)
+    learner.update(first, epochs=1)
+    state = copy.deepcopy(learner.state())
+    expected = learner.update(second, epochs=1)
+    other = make_learner()
+    for parameter in (*other.policy.parameters(), *other.critic.parameters()):
+        parameter.data.zero_()
+    other.load(state)
+    assert other.update(second, epochs=1) == expected
+    assert torch.equal(weights(other.policy), weights(learner.policy))
+
+
+# -- What is not finite --------------------------------------------------------------
+
+
+def test_no_step_follows_a_gradient_that_is_not_finite() -> None:
+    learner = make_learner()
+    td = rollout(learner)
+    learner.policy.network.head.bias.register_hook(lambda grad: grad * torch.inf)
+    before = weights(learner.policy), weights(learner.critic)
+    with pytest.raises(NonFiniteError) as caught:
+        learner.update(td, epochs=1)
+    assert "the gradient of policy.network.head.bias is " in str(caught.value)
+    assert "in update 1 of the rollout, where the loss was finite" in str(caught.value)
+    # Neither part has moved, whichever was at fault.
+    assert torch.equal(weights(learner.policy), before[0])
+    assert torch.equal(weights(learner.critic), before[1])
+    assert not learner.actor_optimizer.state
+
+
+@pytest.mark.parametrize(
+    ("key", "name"),
+    [("advantage", "loss_objective"), ("value_target", "loss_critic")],
+)
+def test_a_loss_that_is_not_finite_is_named(key: str, name: str) -> None:
+    learner = make_learner()
+    td = rollout(learner)
+    td[key][1, 2] = torch.nan
+    with pytest.raises(NonFiniteError, match=f"{name} became nan in update"):
+        learner.update(td, epochs=1)
+    assert weights(learner.policy).isfinite().all()
+    assert weights(learner.critic).isfinite().all()
+
+
+@pytest.mark.parametrize(
+    ("rows", "when"), [(2, "after update 1"), (4, "before update 2")]
+)
+def test_a_step_that_spoils_the_weights_is_named(rows: int, when: str) -> None:
+    learner = make_learner()
+    td = rollout(learner)[:rows]
+    learner.actor_optimizer = torch.optim.SGD(
+        learner.policy.parameters(), lr=1e38, weight_decay=1e38
+    )
+    with pytest.raises(NonFiniteError, match=rf"policy\.network\..* {when} .*lower lr"):
+        learner.update(td, epochs=1)
+
+
+def test_a_weight_that_is_frozen_may_be_anything() -> None:
+    learner = make_learner()
+    learner.policy.register_parameter(
+        "unused", torch.nn.Parameter(torch.full((2,), torch.nan), requires_grad=False)
+    )
+    learner.update(rollout(learner), epochs=1)
