@@ -22,6 +22,7 @@ from rlco.errors import ConfigError
 from rlco.physics.spec.domain import Domain, GivenDomain, make_domain
 from rlco.physics.tasks.named_task import check_domains
 from rlco.reporting.statistics import ResultRow, wilson_interval
+from rlco.reporting.video import write_video
 
 if TYPE_CHECKING:
     from rlco.data import DemoReplayBuffer
@@ -255,8 +256,6 @@ def record_video(
     Raises:
         RenderingError: If no renderer is available.
     """
-    import imageio.v3 as imageio
-
     image_read = getattr(policy, "image_size", None)
     env = make_env(
         task,
@@ -277,9 +276,5 @@ def record_video(
     instruction = env.task.instructions[int(rollout[keys.INSTRUCTION_ID][0, 0])]
     env.close()
     period = chunk / env.task.control_frequency
-    # H.264 keeps a colour for four pixels, so sizes are even. PyAV encodes in this
-    # process: where it is large, the system may refuse to fork it for ffmpeg.
-    even = [(0, 0), (0, frames[0].shape[0] % 2), (0, frames[0].shape[1] % 2), (0, 0)]
-    film = np.pad(np.stack(frames), even, mode="edge")
-    imageio.imwrite(path, film, fps=1.0 / period, codec="libx264", plugin="pyav")
+    write_video(path, frames, 1.0 / period)
     return Film(frames, period, instruction)

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import imageio.v3 as imageio
 import numpy as np
 
 from rlco.reporting.headless import choose_gl
+from rlco.reporting.video import write_video
 
 GALLERY = Path(__file__).parents[1] / "docs" / "gallery"
 SIZE = (240, 320)
@@ -24,7 +24,7 @@ def main() -> None:
     for name in TASK_NAMES:
         frames = film(name)
         path = GALLERY / f"{name}.mp4"
-        imageio.imwrite(path, frames, fps=20, codec="libx264", plugin="pyav")
+        write_video(path, frames, 20.0)
         print(f"{path.name}: {len(frames)} frames, {path.stat().st_size / 1e3:.0f} kB")
 
 

@@ -19,6 +19,7 @@ from rlco.physics.tasks.demonstrate import (
     ExpertError,
     demonstrate,
 )
+from rlco.reporting.video import write_video
 
 Images = NDArray[np.uint8]
 SIDE_BY_SIDE = 20  # episodes of the expert that run at once, at most
@@ -98,15 +99,12 @@ def film_failure(
     Raises:
         RenderingError: Nothing can render.
     """
-    import imageio.v3 as imageio
-
     stage = NativeStepper(task, domain, num_envs=1, effects=effects)
     eye = Camera(stage.model, image_size)
     episode = failure.episode
     rng = np.random.default_rng([failure.seed, episode.number])
     images = _film(stage, eye, task.sample(rng, None), episode.demonstration)
-    frames, rate = images.transpose(0, 2, 3, 1), task.control_frequency
-    imageio.imwrite(path, frames, fps=rate, codec="libx264")
+    write_video(path, images.transpose(0, 2, 3, 1), task.control_frequency)
 
 
 class _Watch:
