@@ -276,5 +276,5 @@ def record_video(
     instruction = env.task.instructions[int(rollout[keys.INSTRUCTION_ID][0, 0])]
     env.close()
     period = chunk / env.task.control_frequency
-    write_video(path, frames, 1.0 / period)
+    write_video(path, np.stack(frames), 1.0 / period)
     return Film(frames, period, instruction)

@@ -11,7 +11,7 @@ from rlco.gap.compare.problem import Gap, Hypothesis, Problem, Verdict
 from rlco.gap.compare.servo.bench import ServoBench
 from rlco.gap.compare.stability.instability import UnstableModelError, unstable_verdict
 from rlco.gap.search.judge import LARGEST
-from rlco.gap.search.servo_search import find_servo_gap
+from rlco.gap.search.servo.find_servo_gap import find_servo_gap
 from rlco.gap.search.state import State
 from rlco.gap.search.steps.closing import intervals, residual
 from rlco.gap.search.steps.drop import drop, drop_unobservable

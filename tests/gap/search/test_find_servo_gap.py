@@ -17,8 +17,8 @@ from rlco.errors import DataError, UnknownNameError
 from rlco.gap import Finding, find_gap, load_model, make_problem, read_log, run_gap
 from rlco.gap.compare.problem import Candidate, Verdict
 from rlco.gap.compare.servo.plant import SERVO_NUMBERS
-from rlco.gap.search.servo_ladder import Judged, alone, groups_of, judge, ladder_of
-from rlco.gap.search.servo_search import half_widths
+from rlco.gap.search.servo.ladder import Judged, alone, groups_of, judge, ladder_of
+from rlco.gap.search.servo.verdict import half_widths
 from rlco.gap.servo_models import SERVOS
 from rlco.physics.effects import EFFECTS
 
@@ -165,7 +165,7 @@ def test_a_ctrl_c_before_the_first_fit_says_that_nothing_was_searched(
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("rlco.gap.search.servo_search.alone", stop)
+    monkeypatch.setattr("rlco.gap.search.servo.find_servo_gap.alone", stop)
     verdict = find_gap(problem)
     assert not verdict.complete
     assert "Nothing was searched" in str(verdict.unexplained["note"])

@@ -8,6 +8,7 @@ which the mean over the groups is taken (arXiv 2410.08650).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
@@ -73,6 +74,11 @@ class Judged:
     def error(self) -> float:
         """Mean over the held-out groups [rad]."""
         return float(self.errors.mean())
+
+    @property
+    def rms(self) -> float:
+        """Root of the mean square of the residual [rad]."""
+        return math.sqrt(float(np.mean(self.residual**2)))
 
 
 @dataclass(frozen=True)
@@ -152,6 +158,11 @@ def _as_counted(label: str) -> list[tuple[float, str]]:
     ]
 
 
+def without_own_numbers(effects: Effects) -> Effects:
+    """Return effects without the servo's own numbers."""
+    return tuple(one for one in effects if one.name != SERVO_NUMBERS)
+
+
 def alone(ladder: Ladder) -> Judged:
     """Fit the servo's own numbers, each group held out in turn."""
     return _judge(ladder, None, ())
@@ -207,17 +218,17 @@ def _fit(
 ) -> Fit:
     """Return the best fit, from each beginning and each start of what is added."""
 
-    def weigh(lists: Sequence[Effects]) -> Array:
+    def scaled(lists: Sequence[Effects]) -> Array:
         hypotheses = [Hypothesis(tuple(one)) for one in lists]
         return ladder.problem.residuals(hypotheses, train) / _SCALE
 
     starts = _starts(ladder.library, begin, added)
     for short, most in HEATS:
         if len(starts) > most:
-            tried = fit(ladder.library, starts, weigh, steps=short)
+            tried = fit(ladder.library, starts, scaled, steps=short)
             tried.sort(key=lambda one: one.cost)
             starts = [one.effects for one in tried[:most]]
-    fits = fit(ladder.library, starts, weigh, steps=steps)
+    fits = fit(ladder.library, starts, scaled, steps=steps)
     return min(fits, key=lambda one: one.cost)
 
 

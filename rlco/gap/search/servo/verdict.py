@@ -1,17 +1,9 @@
-"""The search on a servo's bench: effects one by one, judged where not fitted.
-
-An effect is added where held-out recordings are better with it beyond doubt, and by
-three per cent. Another is as good in its place where they are not worse with it beyond
-doubt. Doubt is the block test's of `comparison`; the other test there takes what is
-left for noise, which it is not while a servo is off by fifty times its encoder's steps.
-"""
+"""What a search on a servo's bench found, in words and numbers."""
 
 from __future__ import annotations
 
 import math
-import time
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
 
 import numpy as np
 from scipy.stats import t
@@ -27,138 +19,18 @@ from rlco.gap.compare.problem import (
     Value,
     Verdict,
 )
-from rlco.gap.compare.servo.bench import ServoBench
 from rlco.gap.compare.servo.independent_channel import supply_sag
-from rlco.gap.compare.servo.plant import SERVO_NUMBERS, fitted_servo
-from rlco.gap.compare.wording import amount, title
+from rlco.gap.compare.servo.plant import fitted_servo
+from rlco.gap.compare.wording import amount
 from rlco.gap.logs.log import Array
-from rlco.gap.search.comparison import DOUBT, block_test, seconds_of
 from rlco.gap.search.intervals import COVERED
-from rlco.gap.search.judge import BETTER, ENOUGH, NEAR_FLOOR, at_bounds
-from rlco.gap.search.servo_ladder import (
-    LIKELY,
-    Effects,
-    Judged,
-    Ladder,
-    alone,
-    fit_all,
-    judge,
-    ladder_of,
-    likely,
-)
+from rlco.gap.search.judge import ENOUGH, NEAR_FLOOR
+from rlco.gap.search.servo.ladder import Effects, Judged, fit_all, without_own_numbers
+from rlco.gap.search.servo.state import ServoState, better
 from rlco.gap.search.verdict import DOUBT as IN_DOUBT
 from rlco.physics.effects import AppliedEffect, Parameter
 
-LARGEST = 3  # effects at once
-CLOSEST = 5  # single effects that are told of where none is named
-
-Progress = Callable[[str, float], None]
-Known = Mapping[tuple[Candidate, ...], Judged]
-
-
-@dataclass(frozen=True)
-class ServoState:
-    """What a search knows so far.
-
-    Attributes:
-        ladder: What explanations are made of.
-        none: The servo's own numbers alone.
-        best: The best explanation so far.
-        known: All that were judged, in this order, by their effects.
-        path: Effects of the explanations that led to the best.
-        others: For each effect of the best, explanations with another in its place;
-            empty until they were judged.
-    """
-
-    ladder: Ladder
-    none: Judged
-    best: Judged
-    known: Known
-    path: tuple[tuple[Candidate, ...], ...] = ()
-    others: Mapping[Candidate, tuple[Judged, ...]] = field(default_factory=dict)
-
-    def judged(self, base: Judged, added: Candidate) -> tuple[ServoState, Judged]:
-        """Return a state that knows one more explanation, and that explanation."""
-        effects = (*base.effects, added)
-        if effects in self.known:
-            return self, self.known[effects]
-        one = judge(self.ladder, base, added)
-        return replace(self, known={**self.known, effects: one}), one
-
-
-def find_servo_gap(
-    problem: ServoBench,
-    *,
-    exclude: Collection[str] = (),
-    on_step: Progress | None = None,
-) -> Verdict:
-    """Find out which physical effects a servo's model lacks, its own numbers fitted.
-
-    Args:
-        problem: The servo and its recordings.
-        exclude: Names of effects that are not considered.
-        on_step: Called with a sentence and the part that is done.
-
-    Returns:
-        The verdict; with ``complete=False`` and the best so far after Ctrl-C.
-
-    Raises:
-        DataError: There is but one recording.
-        KeyboardInterrupt: Before the servo's own numbers were fitted.
-    """
-    began = time.perf_counter()
-    say = on_step or (lambda sentence, part: None)
-    ladder = ladder_of(problem, exclude)
-    none = alone(ladder)
-    first = state = ServoState(ladder, none, none, {(): none})
-    complete = True
-    try:
-        for state, part in states(first):
-            names = [title(one) for one in state.best.effects]
-            found = ", ".join(names) or "the servo's own numbers"
-            say(f"{found}: {amount(state.best.error, 'rad')} held out", part)
-    except KeyboardInterrupt:
-        complete = False
-    return conclude(state, complete=complete, seconds=time.perf_counter() - began)
-
-
-def states(state: ServoState) -> Iterator[tuple[ServoState, float]]:
-    """Yield the state after each explanation, and about which part is done."""
-    floor = NEAR_FLOOR * float(state.ladder.problem.noise[0])
-    for count in range(LARGEST):
-        before = state.best
-        options: list[Judged] = []
-        if _rms(before.residual) < floor:
-            break
-        for added in likely(state.ladder, before):
-            yield state, (count + len(options) / LIKELY) / (LARGEST + 2)
-            state, one = state.judged(before, added)
-            options.append(one)
-        state = _taken(state, options)
-        yield state, (count + 1) / (LARGEST + 2)
-        if state.best is before:
-            break
-    effects = state.best.effects
-    for place, effect in enumerate(effects):
-        base = state.none
-        found: list[Judged] = []
-        for other in effects:
-            if other != effect:
-                state, base = state.judged(base, other)
-        for added in likely(state.ladder, base):
-            done = (place + len(found) / LIKELY) / len(effects)
-            yield state, (LARGEST + 2.0 * done) / (LARGEST + 2)
-            state, one = state.judged(base, added)
-            found.append(one)
-        others = (one for one in found if frozenset(one.effects) != frozenset(effects))
-        state = replace(state, others={**state.others, effect: tuple(others)})
-    yield state, 1.0
-
-
-def better(ladder: Ladder, one: Judged, other: Judged) -> bool:
-    """Return whether held-out recordings are better with one explanation, surely."""
-    blocks = seconds_of(ladder.problem.layout)
-    return block_test(one.residual, other.residual, blocks) > DOUBT
+CLOSEST = 5  # single effects in the report where none is named
 
 
 def conclude(state: ServoState, *, complete: bool, seconds: float) -> Verdict:
@@ -171,7 +43,7 @@ def conclude(state: ServoState, *, complete: bool, seconds: float) -> Verdict:
     """
     problem, none = state.ladder.problem, state.none
     floor = float(problem.noise[0])
-    before, after = _rms(none.residual), _rms(state.best.residual)
+    before, after = none.rms, state.best.rms
     kind = _kind(state, before, after, floor)
     best = state.best if kind in ("named", "ambiguous") else none
     fits = {one.effects: fit_all(state.ladder, one) for one in (none, best)}
@@ -184,7 +56,7 @@ def conclude(state: ServoState, *, complete: bool, seconds: float) -> Verdict:
         complete=complete,
         verdict=kind,
         effects=effects,
-        gap=Gap("rad", trained[0], before, trained[1], _rms(best.residual), floor),
+        gap=Gap("rad", trained[0], before, trained[1], best.rms, floor),
         unexplained=_unexplained(best, held_out, before, floor),
         closest=() if effects else _closest(state),
         seconds=seconds,
@@ -216,31 +88,6 @@ def half_widths(values: Array) -> Array:
     return np.asarray(t.ppf((1.0 + COVERED) / 2.0, groups - 1) * deviation)
 
 
-def _taken(state: ServoState, options: list[Judged]) -> ServoState:
-    """Return a state with the best of some explanations, if one is better."""
-    fine = [
-        one
-        for one in options
-        if one.error < (1.0 - BETTER) * state.best.error
-        and better(state.ladder, one, state.best)
-        and not _at_bounds(state, one)
-    ]
-    if not fine:
-        return state
-    best = min(fine, key=lambda one: one.error)
-    return replace(state, best=best, path=(*state.path, best.effects))
-
-
-def _at_bounds(state: ServoState, one: Judged) -> bool:
-    library = state.ladder.library
-    return any(at_bounds(library, _beside(fit)) for fit in one.fits)
-
-
-def _beside(effects: Effects) -> Effects:
-    """Return effects without the servo's own numbers."""
-    return tuple(one for one in effects if one.name != SERVO_NUMBERS)
-
-
 def _kind(state: ServoState, before: float, after: float, floor: float) -> str:
     if not state.best.effects:
         return "unexplained" if before > NEAR_FLOOR * floor else "no_gap"
@@ -263,9 +110,9 @@ def _named_effects(
     state: ServoState, best: Judged, fitted: Effects
 ) -> tuple[NamedEffect, ...]:
     named = []
-    for place, effect in enumerate(_beside(fitted)):
+    for place, effect in enumerate(without_own_numbers(fitted)):
         candidate = Candidate(effect.name, effect.target)
-        held = np.array([_beside(fit)[place].values for fit in best.fits])
+        held = np.array([without_own_numbers(fit)[place].values for fit in best.fits])
         known = state.ladder.library[candidate]
         others = sorted(state.others.get(candidate, ()), key=lambda one: one.error)
         named.append(
@@ -323,7 +170,7 @@ def _held_out(state: ServoState, best: Judged) -> HeldOut:
 def _unexplained(
     best: Judged, held_out: HeldOut, before: float, floor: float
 ) -> Mapping[str, object]:
-    after = _rms(best.residual)
+    after = best.rms
     if after < NEAR_FLOOR * floor:
         note = "nothing beyond the noise"
         return {"share": 0.0, "target": None, "note": note}
@@ -400,8 +247,5 @@ def _of_volts(state: ServoState, best: Judged) -> tuple[str, ...]:
 
 
 def _trained(state: ServoState, effects: Effects) -> float:
-    return _rms(state.ladder.problem.residuals([Hypothesis(effects)])[0])
-
-
-def _rms(residual: Array) -> float:
+    residual = state.ladder.problem.residuals([Hypothesis(effects)])[0]
     return math.sqrt(float(np.mean(residual**2)))
