@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -79,7 +80,8 @@ def test_stage_two_keeps_the_last_good_checkpoint(
     folder = tmp_path / "run"
     # The first rollout trains the critic alone.
     lines = stopped(capsys, "rl_co", folder, *inputs["rl_co"], "lr=1e36")
-    assert "loss_objective became " in lines[-1]
+    # Which of the two is computed from huge weights first depends on the processor.
+    assert re.search(r"loss_(objective|bc_real) became (nan|inf)", lines[-1])
     assert "update 2 of the rollout" in lines[-1]
     assert "lower lr" in lines[-1]
     assert "step_0000001.safetensors" in lines[-2]
