@@ -25,23 +25,11 @@ from rlco.training.policy_options import KindOptions, group_values
 from rlco.training.stage_one import StageOneOptions
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    import numpy as np
-
     from rlco.physics.effects import AppliedEffect
-    from rlco.physics.spec.task import Array, SceneState
     from rlco.reporting.statistics import ResultRow
 
 log = logging.getLogger("rlco.close_loop")
 METHODS = ("nominal", "corrected", "oracle")
-ROWS = 100  # of a recording in a second
-# Recordings start about this posture, above the table and far from the joints' limits,
-# at most so far from it [rad].
-POSTURE = (0.0, 0.0, 0.0, -2.1, 0.0, 2.2, 0.79)
-SPREAD = (1.2, 0.15, 0.3, 0.15, 0.3, 0.2, 0.8)
-REACH = (0.08, 0.18, 0.1, 0.2, 0.2, 0.2)  # of the tool's swings [m, rad]
-GAIN = (5.0, 5.0, 5.0, 2.0, 2.0, 2.0, 0.0)  # of actions that follow them [1/m, 1/rad]
 
 
 @dataclass
@@ -82,107 +70,26 @@ def hide(config: Config, path: Path) -> list[AppliedEffect]:
     return effects
 
 
-def record_logs(config: Config, hidden: Path, folder: Path) -> None:
-    """Let the arm move freely where the effect is; write NPZ files of what it reports.
-
-    Each row has the joint positions that the encoders report, with a noise of 0.1 mrad,
-    and the torques that the controller sent to the joints, with one of 0.05 N m.
-    """
-    from dataclasses import replace
-
-    import numpy as np
-
-    from rlco.physics.native.stepper import NativeStepper
-    from rlco.physics.spec.domain import make_domain
-    from rlco.physics.tasks.make_task import make_task
-
-    # A torque that is read once in a longer control step is off by what damping has
-    # taken since that step began; so each physics step, of 2 ms, is one.
-    task = replace(make_task(config.task), control_frequency=500)
-    count, rows = config.recordings, round(ROWS * config.seconds)
-    stepper = NativeStepper(
-        task, make_domain(config.simulator), num_envs=count, effects=str(hidden)
-    )
-    rng = np.random.default_rng(config.seed)
-    postures = POSTURE + np.array(SPREAD) * rng.uniform(-1.0, 1.0, (count, 7))
-    first = [replace(task.sample(rng, None), joint_position=q) for q in postures]
-    stepper.reset(first)
-    drive = free_motion(stepper.reported_state(), rng)
-    arm = stepper.worlds.control.arm_ctrl
-    position, torque = np.zeros((2, rows, count, arm.size))
-    for row in range(rows):
-        action = drive(row / ROWS, stepper.reported_state())
-        stepper.step(np.repeat(action[:, None], 500 // ROWS, axis=1))
-        position[row] = stepper.reported_state().joint_position
-        torque[row] = [data.ctrl[arm] for data in stepper.data]
-    position += 1e-4 * rng.standard_normal(position.shape)
-    torque += 0.05 * rng.standard_normal(torque.shape)
-    model = stepper.model
-    names = [model.joint(j).name for j in model.actuator_trnid[arm, 0]]
-    folder.mkdir()
-    for number in range(count):
-        np.savez(
-            folder / f"{number}.npz",
-            time=np.arange(rows) / ROWS,
-            position=position[:, number],
-            torque=torque[:, number],
-            joint_names=np.array(names),
-        )
-
-
-def free_motion(
-    start: SceneState, rng: np.random.Generator
-) -> Callable[[float, SceneState], Array]:
-    """Return what swings the tool about where it starts, each axis at its own pace.
-
-    Returns:
-        From a time [s] and the reported state, leading axes (N,), to actions (N, 7).
-    """
-    import numpy as np
-
-    from rlco.physics.mj.rotations import rotation_vector
-
-    count = len(start.tool_position)
-    pace = 2.0 * np.pi * rng.uniform(0.14, 0.26, (count, 6))  # [rad/s]
-    reach = np.array(REACH) * rng.choice([-1.0, 1.0], (count, 6))
-
-    def drive(time: float, state: SceneState) -> Array:
-        away = reach * np.sin(pace * time)
-        turned = state.tool_rotation @ np.swapaxes(start.tool_rotation, -1, -2)
-        action = np.zeros((count, 7))
-        action[:, :3] = start.tool_position + away[:, :3] - state.tool_position
-        action[:, 3:6] = away[:, 3:] - rotation_vector(turned)
-        return np.clip(action * GAIN, -1.0, 1.0)
-
-    return drive
-
-
-def write_model(config: Config, path: Path) -> None:
-    """Write the simulator's model as it is known, without what is hidden."""
-    from rlco.gap import load_model
-    from rlco.gap.correct.corrected_files import corrected_xml
-    from rlco.physics.effects.names import in_model
-    from rlco.physics.tasks.plain_robosuite import make_robosuite
-
-    env = make_robosuite(config.task, domain=config.simulator)
-    path.write_text(env.edit_model_xml(env.model.get_xml()))
-    # The effects of the simulator's domain are known, too.
-    loaded = load_model(path)
-    effects = in_model(env.domain.model_effects, loaded.model)
-    path.write_text(corrected_xml(loaded, effects, path.parent))
-
-
 def find(config: Config, run: Run, hidden: Path) -> Path:
     """Record, find the gap, and return what was found."""
     from rlco.gap import run_gap
+    from rlco.gap.practice_arm import record_arm, write_known_model
     from rlco.runs.run_folder import command_line
 
     logs, model, out = (run.path / name for name in ("logs", "nominal.xml", "gap"))
     if not (out / "report.html").exists():
         for old in (logs, out):
             shutil.rmtree(old, ignore_errors=True)
-        record_logs(config, hidden, logs)
-        write_model(config, model)
+        record_arm(
+            logs,
+            config.task,
+            config.simulator,
+            recordings=config.recordings,
+            seconds=config.seconds,
+            seed=config.seed,
+            effects=str(hidden),
+        )
+        write_known_model(model, config.task, config.simulator)
         finding = run_gap(model, logs)
         if not finding.complete:
             raise KeyboardInterrupt

@@ -42,7 +42,7 @@ def test_a_program_gets_what_was_found(finding: Finding) -> None:
     assert finding.where.informative[0].target == "shoulder"
     assert len(finding.regimes) == len(finding.log.recordings) == 6
     assert finding.seconds >= finding.verdict.seconds > 0
-    assert finding.summary()[0].startswith("named: Missing from the model: viscous")
+    assert finding.summary()[0].startswith("Missing from the model: viscous")
 
 
 def test_progress_tells_what_is_done_and_how_far_it_is(

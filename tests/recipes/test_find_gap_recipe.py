@@ -153,7 +153,7 @@ def test_the_disagreement_is_told_before_the_search_and_the_verdict_after(
     assert "before any fit, the disagreement is" in lines
     told = lines[lines.index("before any fit, the disagreement is") + 1 :]
     assert "% in shoulder" in told[0]
-    verdict = "named: Missing from the model: viscous damping at shoulder."
+    verdict = "Missing from the model: viscous damping at shoulder."
     assert verdict in told
     assert any("damping 0." in line for line in told[told.index(verdict) :])
     assert told[-1] == f"report: {tmp_path / 'out' / 'report.html'}"

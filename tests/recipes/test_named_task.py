@@ -6,54 +6,18 @@ import json
 from pathlib import Path
 
 import pytest
-import torch
+from lift_cases import LIFT, write_lift
 from recipe_cases import RL_CO, SFT, Assets, refused, start
-from tensordict import TensorDictBase
 
-from rlco import keys
-from rlco.data import DemoWriter
-from rlco.envs import make_env
 from rlco.errors import RlcoError
 from rlco.physics.tasks.make_task import make_task
 from rlco.policies import load_policy
 from rlco.runs.metrics import read_metrics
 
-LIFT = "robosuite:Lift"
-STEPS = 24
-
 
 @pytest.fixture(scope="module")
 def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Record two episodes in which the tool goes towards the cube: no expert's."""
-    folder = tmp_path_factory.mktemp("lift") / "demos"
-    env = make_env(LIFT, num_envs=2, seed=3, threads=1)
-    names = list(env.task.environment_state_names)
-    away = names.index("gripper_to_cube_pos.0")
-
-    def reach(td: TensorDictBase) -> TensorDictBase:
-        action = torch.zeros(2, 1, 7)
-        action[..., :3] = 5.0 * td[keys.ENVIRONMENT_STATE][:, None, away : away + 3]
-        return td.set(keys.ACTION, action.clamp(-1, 1))
-
-    rollout = env.rollout(STEPS, reach)
-    writer = DemoWriter(
-        folder,
-        fps=env.task.control_frequency,
-        state_names=env.task.state_names,
-        action_names=env.task.action_names,
-        environment_state_names=names,
-    )
-    with writer:
-        for episode in rollout:
-            for row in episode:
-                writer.add_frame(
-                    state=row[keys.STATE].numpy(),
-                    action=row[keys.ACTION][0].numpy(),
-                    task=env.task.instructions[0],
-                    environment_state=row[keys.ENVIRONMENT_STATE].numpy(),
-                )
-            writer.save_episode()
-    return folder
+    return write_lift(tmp_path_factory.mktemp("lift") / "demos")
 
 
 @pytest.fixture(scope="module")

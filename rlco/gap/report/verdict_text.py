@@ -128,7 +128,7 @@ def verdict_lines(
     verdict: Verdict, before: Where, model: mujoco.MjModel | None = None
 ) -> list[str]:
     """Return the verdict in a few lines: the headline, parameters and certainty."""
-    lines = [f"{verdict.verdict}: {headline(verdict, before)}"]
+    lines = [headline(verdict, before)]
     for effect in verdict.effects:
         for name, value, ends in numbers_of(effect, model):
             lines.append(f"  {title(effect)}: {name} {value} ({ends})")

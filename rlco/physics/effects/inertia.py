@@ -62,12 +62,18 @@ _HAND, _BEYOND = 0.25, 0.1  # [m]
 def _payload_parameters(
     model: mujoco.MjModel, target: str | None
 ) -> tuple[Parameter, ...]:
-    moving = float(model.body_mass[1:].sum())
+    moving = _moving_mass(model, str(target))
     starts = (0.03 * moving, 0.15 * moving)
     mass = Parameter("mass", "kg", 0.0, 2.0 * moving, 0.0, starts)
     far = max(_HAND, _reach(model, str(target)) + _BEYOND)
     place = [Parameter(axis, "m", -far, far, 0.0, (0.0,)) for axis in "xyz"]
     return (mass, *place)
+
+
+def _moving_mass(model: mujoco.MjModel, body: str) -> float:
+    """Return the mass of a robot without what stands still, such as its table [kg]."""
+    tree = model.body_rootid == model.body_rootid[model.body(body).id]
+    return float(model.body_mass[tree & (model.body_weldid > 0)].sum())
 
 
 def _reach(model: mujoco.MjModel, body: str) -> float:

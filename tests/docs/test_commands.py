@@ -1,0 +1,231 @@
+"""Every command that the documentation shows runs, with less of everything."""
+
+from __future__ import annotations
+
+import functools
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from arm_cases import write_arm
+from bench_runs import write_bench
+from commands import ROOT, Command, all_blocks
+from lift_cases import LIFT, write_lift
+from recipe_cases import RL_CO, SFT, start
+
+import rlco.gap
+from rlco import cli
+from rlco.physics.effects import EFFECTS
+from rlco.policies.tiny.smolvla import write_tiny_smolvla
+
+# Overrides the page's numbers: whether it runs, not what it learns.
+LESS: dict[str, dict[str, object]] = {
+    "record_demos": {"episodes": 2},
+    "sft": {"updates": 6, "log_every": 2, "batch_size": 16, "eval_episodes": 2},
+    "rl_co": {
+        **{"iterations": 2, "num_envs": 8, "epochs": 1, "minibatch": 30},
+        **{"real_rows": 8, "critic_iterations": 1, "eval_every": 2, "eval_episodes": 2},
+    },
+    "evaluate": {"episodes": 2},
+    "quickstart": {
+        **{"sim_demos": 2, "real_demos": 2, "heldout_demos": 1, "updates": 4},
+        **{"iterations": 1, "num_envs": 2, "eval_every": 1, "curve_episodes": 2},
+        **{"eval_episodes": 2, "film": "false"},
+    },
+    "find_gap": {},
+    "record_logs": {"recordings": 2, "seconds": 4.0},
+    "close_loop": {
+        **{"seeds": "[0]", "recordings": 2, "seconds": 4.0, "demos": 2},
+        **{"updates": 4, "eval_episodes": 2},
+    },
+    "lerobot_co_train": {
+        **{"iterations": 1, "num_envs": 2, "horizon": 16, "epochs": 1, "minibatch": 4},
+        **{"real_rows": 2, "accumulate": 2, "eval_every": 1, "eval_episodes": 2},
+    },
+}
+# What a page cannot run here: it needs a network, a robot, hours, or is run elsewhere.
+ELSEWHERE = {
+    "uv run pytest": "this",
+    "uv run lint-imports": ".ci/run",
+    "bash .ci/run": ".ci/run",
+    "uv sync": ".ci/run",
+    "uv run ruff format": ".ci/run",
+    "uv run --group docs sphinx-build -W docs docs/_build": "a network's packages",
+    "uv build --wheel": "tests/test_cli.py",
+    "uv run tensorboard --logdir outputs": "a server",
+    "uv run scripts/": "a network, or figures",
+    "uv run benchmarks/": "hours; tests/benchmarks",
+    "pip ": "a network",
+    "unzip ": "what a network gave",
+    "git clone ": "a network",
+    "lerobot-replay ": "a robot",
+    "lerobot-rollout ": "a robot",
+    "lerobot-eval ": "tests/plugins",
+    "lerobot-train ": "tests/plugins",
+    "lerobot-edit-dataset ": "tests/plugins",
+}
+PLACEHOLDERS = {"uv run recipes/NAME.py", "rlco NAME"}
+
+
+def distinct_blocks() -> list[list[Command]]:
+    """Return blocks with a recipe's command, each once, without what runs elsewhere."""
+    found: dict[tuple[str, ...], list[Command]] = {}
+    for block in all_blocks():
+        shown = [one for one in block if one.recipe or one.words[0] == "rlco"]
+        shown = [one for one in shown if one.text not in PLACEHOLDERS]
+        if shown:
+            found.setdefault(tuple(one.text for one in shown), shown)
+    return list(found.values())
+
+
+def test_every_other_command_is_run_somewhere() -> None:
+    run = {one.text for block in distinct_blocks() for one in block} | PLACEHOLDERS
+    others = [o for block in all_blocks() for o in block if o.text not in run]
+    plain = {" ".join(one.words) for one in others}
+    assert {t for t in plain if not t.startswith(tuple(ELSEWHERE))} == {"uv run"}
+
+
+EFFECTS_YAML = """
+version: 1
+effects:
+- {name: command_delay, target: null, parameters: {delay: 0.05}}
+"""
+Folders = Callable[[str, str, str], Path]
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> Folders:
+    """Give what an option names and its page takes for granted, made once."""
+    root = tmp_path_factory.mktemp("given")
+
+    @functools.cache
+    def demos(task: str) -> Path:
+        folder = root / task.replace(":", "_") / "demos"
+        if task == LIFT:
+            return write_lift(folder)
+        more = ("camera=agentview", "image_size=64", "episodes=2")
+        start("record_demos", f"task={task}", f"out={folder}", *more)
+        return folder
+
+    @functools.cache
+    def stage_one(task: str) -> Path:
+        given = (f"task={task}", f"real_demos={demos(task)}", "sim_ratio=0", *SFT)
+        start("sft", *given, f"out={demos(task).parent / 'sft'}")
+        return demos(task).parent / "sft"
+
+    @functools.cache
+    def stage_two(task: str) -> Path:
+        policy = stage_one(task) / "policy"
+        given = (f"task={task}", f"policy={policy}", f"real_demos={demos(task)}")
+        start("rl_co", *given, *RL_CO, f"out={policy.parents[1] / 'rl_co'}")
+        return policy.parents[1] / "rl_co"
+
+    @functools.cache
+    def checkpoint() -> Path:
+        return write_tiny_smolvla(root / "tiny", camera="observation.images.agentview")
+
+    def folder(option: str, value: str, task: str) -> Path:
+        if value == "demos/my_arm":
+            return write_arm(root / "arm")
+        if option == "resume":
+            return stage_two(task)
+        if value.startswith("CHECKPOINT") or value.endswith("pretrained_model"):
+            return checkpoint()
+        if option == "policy":
+            return (stage_two if "rl_co" in value else stage_one)(task) / "policy"
+        return demos(task)
+
+    return folder
+
+
+@pytest.fixture
+def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """A folder with what the pages call a user's own files."""
+    (tmp_path / "docs").symlink_to(ROOT / "docs")
+    (tmp_path / "arm.xml").symlink_to(ROOT / "docs/example/arm.xml")
+    (tmp_path / "logs").symlink_to(ROOT / "docs/example/logs")
+    (tmp_path / "my_task.py").write_text(
+        "from rlco.physics.tasks.push_cube import TASK\n"
+    )
+    (tmp_path / "my_domains.py").write_text(
+        "from rlco.physics.spec.domain import STAND_IN as slippery\n"
+    )
+    monkeypatch.chdir(tmp_path)
+    for folder in (tmp_path, ROOT / "docs"):  # PYTHONPATH=. and PYTHONPATH=docs
+        monkeypatch.syspath_prepend(str(folder))
+    yield tmp_path
+    EFFECTS.pop("quadratic_drag", None)  # of docs/my_effect.py
+
+
+def filled(option: str, command: Command, folders: Folders) -> str:
+    """Put a real file for what the page leaves open, and give the option."""
+    name, _, value = option.partition("=")
+    task = next((o[5:] for o in command.options if o.startswith("task=")), "push_cube")
+    given = functools.partial(folders, name, value, task)
+    if value == "gap_report/effects.yaml" and not Path(value).exists():
+        Path(value).parent.mkdir()
+        Path(value).write_text(EFFECTS_YAML)
+    if value == "bam_logs":
+        write_bench(Path(value))
+    if name == "image_weights":
+        import torch
+        from torchvision.models import mobilenet_v2
+
+        Path(value).parent.mkdir(parents=True)
+        torch.save(mobilenet_v2().state_dict(), value)
+    if value == "..." or "RUN" in value or value.startswith("CHECKPOINT"):
+        made = sorted(Path().glob(value.replace("RUN", "*")), key=os.path.getmtime)
+        return f"{name}={made[-1] if made else given()}"
+    taken = value.startswith(("demos/", "outputs/")) and name != "out"
+    if taken and not Path(value).exists():
+        Path(value).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copytree(given(), value)
+    return option
+
+
+def run(command: Command, folders: Folders) -> int | str | None:
+    """Run a command in this process as its page shows it; return its exit status."""
+    try:
+        if command.recipe is None:
+            cli.main(command.words[1:])
+        else:
+            options = [filled(option, command, folders) for option in command.options]
+            start(command.recipe, *with_less(command.recipe, options))
+    except SystemExit as end:
+        return end.code
+    return 0
+
+
+def with_less(recipe: str, options: list[str]) -> list[str]:
+    """Return a recipe's options with the page's values, or small ones if smaller."""
+    if options == ["help"]:
+        return options
+    given = dict(option.split("=", 1) for option in options)
+    given.pop("config", None)
+    less = dict(LESS[recipe])
+    if "resume" in given:  # only the number of rollouts may change
+        less = {"iterations": 4} if "iterations" in given else {}
+    small = {k: v for k, v in less.items() if given.get(k) not in ("0", "1", "2")}
+    return [f"{name}={value}" for name, value in {**given, **small}.items()]
+
+
+BLOCKS = distinct_blocks()
+
+
+@pytest.mark.parametrize("block", BLOCKS, ids=[b[0].text for b in BLOCKS])
+def test_a_block_of_commands_runs(
+    block: list[Command],
+    workspace: Path,
+    folders: Folders,
+    rendering: None,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # A search that considers two effects takes seconds.
+    few = functools.partial(
+        rlco.gap.run_gap, exclude=set(EFFECTS) - {"payload", "command_delay"}
+    )
+    monkeypatch.setattr(rlco.gap, "run_gap", few)
+    for command in block:
+        assert not run(command, folders), command.text
