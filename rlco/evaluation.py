@@ -19,7 +19,7 @@ from rlco import keys
 from rlco.envs import make_env
 from rlco.envs.chunk_env import ChunkEnv
 from rlco.errors import ConfigError
-from rlco.physics.spec.domain import Domain, GivenDomain, make_domain
+from rlco.physics.spec.domain import FINAL_DOMAINS, Domain, GivenDomain, make_domain
 from rlco.physics.tasks.named_task import check_domains
 from rlco.reporting.statistics import ResultRow, wilson_interval
 from rlco.reporting.video import write_video
@@ -174,10 +174,19 @@ def evaluation_domains(
         train_domain: The same, of where training takes place, if it does.
 
     Raises:
-        ConfigError: A file's name cannot name a column of metrics.csv.
+        ConfigError: A file's name cannot name a column of metrics.csv, or training
+            would take place in a domain for final evaluations.
         RlcoError: See `rlco.physics.tasks.named_task.check_domains`.
     """
     given = list(evaluated)
+    if train_domain is not None and make_domain(train_domain).name in FINAL_DOMAINS:
+        raise ConfigError(
+            [
+                f"train_domain={train_domain!r} is for final evaluations alone, and "
+                "would say nothing once something was trained in it; train in sim, "
+                "stand_in, or a domain of your own"
+            ]
+        )
     check_domains(task, [*given, *([] if train_domain is None else [train_domain])])
     domains = {domain.name: domain for domain in map(make_domain, given)}
     problems = [

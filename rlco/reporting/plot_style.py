@@ -22,6 +22,7 @@ from matplotlib.ticker import (
 DOMAIN_LABELS = {
     "sim": "sim (the simulator as built)",
     "stand_in": "stand_in (a second simulator, not a robot)",
+    "locked": "locked (a third simulator, for final tables)",
 }
 #: Colour and marker of a method: Okabe and Ito's palette, distinguishable with any
 #: colour vision, and markers for black-and-white print.

@@ -117,6 +117,12 @@ def _simulated(rows: Sequence[ResultRow]) -> str:
             "<code>train_domain</code> names it, training uses it only through "
             "demonstrations recorded there.</p>"
         )
+    if any(row["domain"] == "locked" for row in rows):
+        text += (
+            "<p><code>locked</code> is a third simulator, of the same kind as "
+            "<code>stand_in</code> with other values. No setting was chosen by success "
+            "in it, and no policy is trained in it by reinforcement.</p>"
+        )
     return f"<aside>{text}</aside>"
 
 
