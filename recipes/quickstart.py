@@ -304,7 +304,8 @@ def compare(
             )
             rows.append(row)
     for one in last_differences(rows):
-        log.info("%s - %s in %s: %s", one.first, one.second, one.column[1], one)
+        name = f"{one.first} - {one.second}"
+        log.info("%-17s in %-8s: %s", name, one.column[1], one)
     return rows
 
 
