@@ -30,7 +30,8 @@ class Config(RunOptions):
     task: str = option("push_cube", "name of the task")
     domain: str = option(
         "sim",
-        "where to play: sim, stand_in, MODULE:NAME, or the path of an effects.yaml",
+        "where to play: sim, stand_in, locked, MODULE:NAME, or the path of an "
+        "effects.yaml",
     )
     variation: str | None = option(
         None, "unseen variation: shapes, colours, initial_states, distractors, camera"

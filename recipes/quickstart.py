@@ -277,8 +277,12 @@ def train(
 def compare(
     config: Config, policies: dict[str, ChunkPolicy], domains: dict[str, Domain]
 ) -> list[ResultRow]:
-    """Evaluate every policy in every domain, from the same initial states."""
+    """Evaluate every policy in every domain, from the same initial states.
+
+    What the last method gains over the others is printed with its paired interval.
+    """
     from rlco.evaluation import EVALUATION_SEED, evaluate, evaluation_env
+    from rlco.reporting.differences import last_differences
 
     rows = []
     one = next(iter(policies.values()))
@@ -299,6 +303,9 @@ def compare(
                 method, name, config.seed, task=config.task, policy=policy.kind
             )
             rows.append(row)
+    for one in last_differences(rows):
+        name = f"{one.first} - {one.second}"
+        log.info("%-17s in %-8s: %s", name, one.column[1], one)
     return rows
 
 

@@ -28,7 +28,8 @@ class Config:
     task: str = option("push_cube", "name of the task")
     domain: str = option(
         "sim",
-        "where to record: sim, stand_in, MODULE:NAME, or the path of an effects.yaml",
+        "where to record: sim, stand_in, locked, MODULE:NAME, or the path of an "
+        "effects.yaml",
     )
     episodes: int = option(60, "successful episodes to keep", minimum=1)
     noise: float = option(

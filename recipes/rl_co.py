@@ -3,6 +3,7 @@
     uv run recipes/rl_co.py policy=outputs/sft/RUN/policy real_demos=demos/stand_in
     uv run recipes/rl_co.py policy=outputs/sft/RUN/policy real_coeff=0   # RL alone
     uv run recipes/rl_co.py ... train_domain=gap_report/effects.yaml
+    uv run recipes/rl_co.py ... real_coeff=0 keep=best    # stopped where sim was best
 
 L = L_PPO(sim) + beta L_BC(D_real), beta = real_coeff, in every minibatch of every
 epoch, each with freshly drawn real rows (RL-Co, arXiv 2602.12628, Stage II).
@@ -19,6 +20,7 @@ from rlco.training.stage_two import StageTwoOptions as Config
 if TYPE_CHECKING:
     from rlco.physics.spec.domain import Domain
     from rlco.policies import ChunkPolicy
+    from rlco.reporting.statistics import ResultRow
     from rlco.training.stage_two import StageTwoDemos
 
 log = logging.getLogger("rlco.rl_co")
@@ -28,6 +30,7 @@ def main(config: Config) -> None:
     """Load, train, and say how it went."""
     from rlco.evaluation import evaluation_domains
     from rlco.physics.effects import load_code
+    from rlco.training.kept_policy import check_keep
     from rlco.training.stage_two import load_stage_two
 
     # What is wrong shows before a folder is made.
@@ -36,10 +39,10 @@ def main(config: Config) -> None:
     domains = evaluation_domains(
         config.task, evaluated, train_domain=config.train_domain
     )
+    check_keep(config, domains)
     policy, demos = load_stage_two(config)
     with Run(config, "rl_co") as run:
-        train(config, run, policy, demos, domains)
-        save_results(config, run, policy.kind, list(domains))
+        run.save_results(train(config, run, policy, demos, domains))
         log.info("policy: %s", run.path / "policy")
 
 
@@ -49,13 +52,25 @@ def train(
     policy: ChunkPolicy,
     demos: StageTwoDemos,
     domains: dict[str, Domain],
-) -> None:
-    """Train, evaluate now and then, and save the policy to the folder ``policy``."""
+) -> list[ResultRow]:
+    """Train, evaluate now and then, and save the policy to the folder ``policy``.
+
+    With ``keep=best`` the last policy is saved, too, to ``policy_last``.
+
+    Returns:
+        What each saved policy reaches.
+    """
     from rlco.collectors import check_signal, make_collector
-    from rlco.evaluation import evaluation_envs, held_out_error, success_rates
+    from rlco.evaluation import (
+        evaluation_envs,
+        held_out_error,
+        result_rows,
+        success_rates,
+    )
     from rlco.losses import CoTrainingLoss, ImitationLoss
     from rlco.policies import save_policy
     from rlco.training.iterations import co_train
+    from rlco.training.kept_policy import best_policy
     from rlco.training.stage_two import (
         fix_pose_range,
         make_critic,
@@ -90,41 +105,31 @@ def train(
         episodes=episodes,
         image_size=policy.image_size,
     )
+    best = best_policy(config, policy)
     if run.step is None:
         before = success_rates(policy, envs, episodes, 0)
         before |= held_out_error(policy, demos.heldout)
         run.log_metrics(0, {"frames": 0} | before)
+        if best is not None:
+            best.offer(0, before)
     for iteration, row in co_train(
-        config, run, collector, learner, check_first=check_signal
+        config, run, collector, learner, check_first=check_signal, best=best
     ):
         row |= held_out_error(policy, demos.heldout)
         if iteration % config.eval_every == 0 or iteration == config.iterations:
             row |= success_rates(policy, envs, episodes, iteration)
     extra = {"real_coeff": config.real_coeff, **collector.env.task.description()}
-    save_policy(policy, run.path / "policy", extra=extra)
     collector.close()
-
-
-def save_results(config: Config, run: Run, kind: str, domains: list[str]) -> None:
-    """Write the last evaluation to results.json."""
-    from rlco.reporting.statistics import ResultRow
-    from rlco.runs.metrics import read_metrics
-
-    last = read_metrics(run.path / "metrics.csv")[-1]
-    results = [
-        ResultRow(
-            method="rl_co" if config.real_coeff > 0 else "rl_only",
-            task=config.task,
-            policy=kind,
-            domain=domain,
-            variation=None,
-            seed=config.seed,
-            episodes=config.eval_episodes,
-            successes=round(last[f"success_{domain}"] * config.eval_episodes),
-        )
-        for domain in domains
-    ]
-    run.save_results(results)
+    folder = "policy" if best is None else "policy_last"
+    save_policy(policy, run.path / folder, extra=extra)
+    method = "rl_co" if config.real_coeff > 0 else "rl_only"
+    given = {"task": config.task, "seed": config.seed}
+    rows = result_rows(policy, envs, episodes, method=method, **given)
+    if best is not None:
+        best.restore()
+        save_policy(policy, run.path / "policy", extra=extra | best.description())
+        rows += result_rows(policy, envs, episodes, method=f"{method}_best", **given)
+    return rows
 
 
 if __name__ == "__main__":

@@ -50,23 +50,20 @@ def count_successes(
     config: Config, task: str, policy: ChunkPolicy, domains: dict[str, Domain]
 ) -> list[ResultRow]:
     """Evaluate the policy in every domain, from the same initial states."""
-    from rlco.evaluation import evaluate, evaluation_env
+    from rlco.evaluation import evaluation_envs, result_rows
 
+    episodes = config.eval_episodes
+    envs = evaluation_envs(
+        task,
+        domains,
+        chunk=config.chunk,
+        episodes=episodes,
+        image_size=policy.image_size,
+    )
     method = "real_only" if config.sim_ratio == 0 else "sft"
-    rows = []
-    for name, domain in domains.items():
-        env = evaluation_env(
-            task,
-            domain,
-            chunk=config.chunk,
-            episodes=config.eval_episodes,
-            image_size=policy.image_size,
-        )
-        result = evaluate(policy, env, config.eval_episodes)
-        log.info("%s in %s: %s", method, name, result)
-        row = result.row(method, name, config.seed, task=task, policy=policy.kind)
-        rows.append(row)
-    return rows
+    return result_rows(
+        policy, envs, episodes, method=method, task=task, seed=config.seed
+    )
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from rlco import keys
 from rlco.envs import make_env
 from rlco.envs.chunk_env import ChunkEnv
 from rlco.errors import ConfigError
-from rlco.physics.spec.domain import Domain, GivenDomain, make_domain
+from rlco.physics.spec.domain import FINAL_DOMAINS, Domain, GivenDomain, make_domain
 from rlco.physics.tasks.named_task import check_domains
 from rlco.reporting.statistics import ResultRow, wilson_interval
 from rlco.reporting.video import write_video
@@ -41,15 +41,24 @@ class Evaluation:
     Attributes:
         success: Whether the task was solved at the episode's end, bool, shape (M,).
         seconds: Time until it was solved for good [s]; NaN where it was not.
+        ever: Whether it was solved after at least one decision, bool, shape (M,).
+        states_seed: Seed of the initial states; None where it is not known.
     """
 
     success: NDArray[np.bool_]
     seconds: NDArray[np.float64]
+    ever: NDArray[np.bool_]
+    states_seed: int | None = None
 
     @property
     def rate(self) -> float:
-        """Share of solved episodes."""
+        """Share of episodes that were solved at their end."""
         return float(self.success.mean())
+
+    @property
+    def lost(self) -> NDArray[np.bool_]:
+        """Whether the task was solved, but not at the episode's end, shape (M,)."""
+        return self.ever & ~self.success
 
     def row(
         self,
@@ -62,7 +71,7 @@ class Evaluation:
         variation: str | None = None,
     ) -> ResultRow:
         """Return this evaluation as a row of results.json."""
-        return ResultRow(
+        row = ResultRow(
             method=method,
             task=task,
             policy=policy,
@@ -71,21 +80,35 @@ class Evaluation:
             seed=seed,
             episodes=int(self.success.size),
             successes=int(self.success.sum()),
+            ever_successes=int(self.ever.sum()),
+            lost=int(self.lost.sum()),
+            outcomes=self.success.astype(int).tolist(),
+            ever=self.ever.astype(int).tolist(),
         )
+        if self.states_seed is not None:
+            row["states_seed"] = self.states_seed
+        return row
 
     def __str__(self) -> str:
         low, high = wilson_interval(int(self.success.sum()), self.success.size)[1:]
         solved = self.seconds[self.success]
         share = f"{self.rate:.1%} [{low:.1%}, {high:.1%}]"
         text = f"{share} of {self.success.size} episodes"
-        return f"{text}, in {np.median(solved):.1f} s" if solved.size else text
+        if solved.size:
+            text += f", in {np.median(solved):.1f} s"
+        return f"{text}; {self.reached()}"
+
+    def reached(self) -> str:
+        """Return in words what success at the end leaves out."""
+        return f"ever {self.ever.mean():.1%}, lost again {self.lost.mean():.1%}"
 
 
 def evaluate(policy: Any, env: ChunkEnv, episodes: int) -> Evaluation:
     """Play the first `episodes` episodes of an environment's seed, without noise.
 
     The initial states depend on the seed alone, so two policies, and two domains,
-    see the same ones: their difference is a paired one.
+    see the same ones: their difference is a paired one. Whether the task is solved is
+    read at the end of each decision: "ever" misses what is undone within a chunk.
 
     Args:
         policy: Writes `action`; its most likely action is taken.
@@ -96,7 +119,7 @@ def evaluate(policy: Any, env: ChunkEnv, episodes: int) -> Evaluation:
     (count,) = env.batch_size
     period = env.chunk / env.task.control_frequency
     limit = env.horizon / env.task.control_frequency
-    success, seconds = [], []
+    success, seconds, ever = [], [], []
     batches = tqdm(range(-(-episodes // count)), "evaluate", leave=False, disable=None)
     for index in batches:
         env.start_at(index)
@@ -109,10 +132,41 @@ def evaluate(policy: Any, env: ChunkEnv, episodes: int) -> Evaluation:
         time = np.minimum((decisions - trailing + 1) * period, limit)
         success.append(solved[:, -1])
         seconds.append(np.where(solved[:, -1], time, np.nan))
+        ever.append(solved.any(axis=1))
         batches.set_postfix_str(f"success {np.concatenate(success).mean():.1%}")
     return Evaluation(
-        np.concatenate(success)[:episodes], np.concatenate(seconds)[:episodes]
+        np.concatenate(success)[:episodes],
+        np.concatenate(seconds)[:episodes],
+        np.concatenate(ever)[:episodes],
+        env.states_seed,
     )
+
+
+def result_rows(
+    policy: Any,
+    envs: Mapping[str, ChunkEnv],
+    episodes: int,
+    *,
+    method: str,
+    task: str,
+    seed: int,
+) -> list[ResultRow]:
+    """Evaluate a policy in each domain's environment; return rows of results.json.
+
+    Args:
+        policy: See `evaluate`; has a ``kind``.
+        envs: The environment of each domain, by the domain's name.
+        episodes: Of each.
+        method: What the rows call it.
+        task: The task's name.
+        seed: Of the run.
+    """
+    rows = []
+    for domain, env in envs.items():
+        result = evaluate(policy, env, episodes)
+        log.info("%s in %s: %s", method, domain, result)
+        rows.append(result.row(method, domain, seed, task=task, policy=policy.kind))
+    return rows
 
 
 def success_rates(
@@ -127,15 +181,20 @@ def success_rates(
         policy: See `evaluate`.
         envs: The environment of each domain, by the domain's name.
         episodes: Of each.
-        iteration: When this is measured: then the rates are logged too.
+        iteration: When this is measured: then it is logged too.
     """
-    rates = {
-        f"success_{domain}": evaluate(policy, env, episodes).rate
-        for domain, env in envs.items()
-    }
-    if iteration is not None:
-        for name, rate in rates.items():
-            log.info("rollout %d, %s: %.1f %%", iteration, name, 100 * rate)
+    rates = {}
+    for domain, env in envs.items():
+        result = evaluate(policy, env, episodes)
+        rates[f"success_{domain}"] = result.rate
+        if iteration is not None:
+            log.info(
+                "rollout %d, success_%s: %.1f %%; %s",
+                iteration,
+                domain,
+                100 * result.rate,
+                result.reached(),
+            )
     return rates
 
 
@@ -174,10 +233,19 @@ def evaluation_domains(
         train_domain: The same, of where training takes place, if it does.
 
     Raises:
-        ConfigError: A file's name cannot name a column of metrics.csv.
+        ConfigError: A file's name cannot name a column of metrics.csv, or training
+            would take place in a domain for final evaluations.
         RlcoError: See `rlco.physics.tasks.named_task.check_domains`.
     """
     given = list(evaluated)
+    if train_domain is not None and make_domain(train_domain).name in FINAL_DOMAINS:
+        raise ConfigError(
+            [
+                f"train_domain={train_domain!r} is for final evaluations alone, and "
+                "would say nothing once something was trained in it; train in sim, "
+                "stand_in, or a domain of your own"
+            ]
+        )
     check_domains(task, [*given, *([] if train_domain is None else [train_domain])])
     domains = {domain.name: domain for domain in map(make_domain, given)}
     problems = [

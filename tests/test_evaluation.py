@@ -105,10 +105,33 @@ def test_time_to_success_counts_to_where_it_stays_solved() -> None:
     np.testing.assert_allclose(result.seconds, [0.4, 0.8, np.nan, 0.9])
 
 
+def test_solved_at_the_end_at_some_time_and_lost_again() -> None:
+    env = make_env("push_cube", num_envs=5, chunk=4, horizon=12, seed=7)
+    env.__class__ = Scripted
+    solved = [
+        [0, 0, 0, 1],  # in the last decision alone
+        [0, 1, 0, 0],  # lost again
+        [0, 1, 0, 1],  # lost, and solved again by the end
+        [0, 0, 0, 0],  # never
+        [1, 0, 0, 0],  # only before the first decision: nothing that the policy did
+    ]
+    env.solved = [[bool(v) for v in row] for row in solved]
+    result = evaluate(Expert(env), env, 5)
+    assert result.success.tolist() == [True, False, True, False, False]
+    assert result.ever.tolist() == [True, True, True, False, False]
+    assert result.lost.tolist() == [False, True, False, False, False]
+    row = result.row("sft", "sim", 0, task="push_cube", policy="gaussian")
+    assert row["outcomes"] == [1, 0, 1, 0, 0]
+    assert row["ever"] == [1, 1, 1, 0, 0]
+    assert (row["successes"], row["ever_successes"], row["lost"]) == (2, 3, 1)
+    assert row["states_seed"] == 7
+    assert str(result).endswith("of 5 episodes, in 0.6 s; ever 60.0%, lost again 20.0%")
+
+
 def test_a_row_and_a_line_of_an_evaluation() -> None:
     # 17 of 20: Wilson's interval is [0.64, 0.95].
-    success = np.arange(20) < 17
-    result = Evaluation(success, np.where(success, 2.5, np.nan))
+    success, ever = np.arange(20) < 17, np.arange(20) < 18
+    result = Evaluation(success, np.where(success, 2.5, np.nan), ever)
     assert result.rate == pytest.approx(0.85)
     assert result.row("sft", "stand_in", 3, task="push_cube", policy="token") == {
         "method": "sft",
@@ -119,7 +142,14 @@ def test_a_row_and_a_line_of_an_evaluation() -> None:
         "seed": 3,
         "episodes": 20,
         "successes": 17,
+        "ever_successes": 18,
+        "lost": 1,
+        "outcomes": [1] * 17 + [0] * 3,
+        "ever": [1] * 18 + [0] * 2,
     }
-    assert str(result) == "85.0% [64.0%, 94.8%] of 20 episodes, in 2.5 s"
-    none = Evaluation(np.zeros(4, dtype=bool), np.full(4, np.nan))
-    assert str(none) == "0.0% [0.0%, 49.0%] of 4 episodes"
+    line = "85.0% [64.0%, 94.8%] of 20 episodes, in 2.5 s; ever 90.0%, lost again 5.0%"
+    assert str(result) == line
+    nothing = np.zeros(4, dtype=bool)
+    none = Evaluation(nothing, np.full(4, np.nan), nothing)
+    line = "0.0% [0.0%, 49.0%] of 4 episodes; ever 0.0%, lost again 0.0%"
+    assert str(none) == line

@@ -159,6 +159,11 @@ class ChunkEnv(EnvBase):
 
     # -- TorchRL's interface ---------------------------------------------------
 
+    @property
+    def states_seed(self) -> int:
+        """The seed that, with an episode's number, draws its initial state."""
+        return self._seed
+
     def start_at(self, episode: int) -> None:
         """Let the next reset of every environment start its `episode`-th episode."""
         self._episode[:] = episode

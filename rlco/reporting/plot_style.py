@@ -22,6 +22,7 @@ from matplotlib.ticker import (
 DOMAIN_LABELS = {
     "sim": "sim (the simulator as built)",
     "stand_in": "stand_in (a second simulator, not a robot)",
+    "locked": "locked (a third simulator, for final tables)",
 }
 #: Colour and marker of a method: Okabe and Ito's palette, distinguishable with any
 #: colour vision, and markers for black-and-white print.
@@ -29,6 +30,7 @@ METHOD_STYLES = {
     "real_only": ("#7a7a7a", "s"),
     "sft": ("#0072b2", "o"),
     "rl_only": ("#e69f00", "^"),
+    "rl_only_best": ("#d55e00", "v"),
     "rl_co": ("#009e73", "D"),
 }
 #: How to read each figure, by its title; reports print it beside the figure, in
@@ -55,7 +57,7 @@ READING = {
     ),
     "One episode": "Time runs from left to right.",
 }
-_SPARE_STYLES = (("#cc79a7", "v"), ("#56b4e9", "P"), ("#d55e00", "X"))
+_SPARE_STYLES = (("#cc79a7", "X"), ("#56b4e9", "P"), ("#8c6d31", "<"))
 WIDTH = 7.2  # [inch]: 720 px wide at 100 px per inch, for which text is sized
 INK, QUIET, LINES = "#222222", "#666666", "#bbbbbb"
 

@@ -8,7 +8,6 @@ elsewhere.
 from __future__ import annotations
 
 import json
-import math
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
@@ -19,7 +18,8 @@ from PIL import Image
 from rlco.errors import RlcoError
 from rlco.reporting.html import data_address, definitions, figure, page
 from rlco.reporting.plot_style import READING, styles
-from rlco.reporting.statistics import Interval, ResultRow, rate_interval
+from rlco.reporting.result_tables import difference_table, percent, success_table
+from rlco.reporting.statistics import ResultRow, rate_interval
 from rlco.runs.metrics import read_metrics
 from rlco.runs.whole_files import write_text
 
@@ -62,7 +62,8 @@ def write_report(
         for part in (
             _header(info, headline, notes),
             _simulated(rows),
-            _success_table(rows),
+            success_table(rows),
+            difference_table(rows),
             _figures(run_dir),
             _videos(run_dir),
             _details(run_dir, info),
@@ -88,9 +89,9 @@ def _headline(rows: Sequence[ResultRow]) -> str:
     }
     main = methods.pop()
     tasks = " and ".join(dict.fromkeys(row["task"] for row in here))
-    often = _percent(rates[main].estimate)
+    often = percent(rates[main].estimate)
     text = f"{main} solves {tasks} in {often} of episodes in {domain}"
-    others = [f"{method} in {_percent(rates[method].estimate)}" for method in methods]
+    others = [f"{method} in {percent(rates[method].estimate)}" for method in methods]
     return f"{text}; {', '.join(reversed(others))}" if others else text
 
 
@@ -117,75 +118,13 @@ def _simulated(rows: Sequence[ResultRow]) -> str:
             "<code>train_domain</code> names it, training uses it only through "
             "demonstrations recorded there.</p>"
         )
+    if any(row["domain"] == "locked" for row in rows):
+        text += (
+            "<p><code>locked</code> is a third simulator, of the same kind as "
+            "<code>stand_in</code> with other values. No setting was chosen by success "
+            "in it, and no policy is trained in it by reinforcement.</p>"
+        )
     return f"<aside>{text}</aside>"
-
-
-def _success_table(rows: Sequence[ResultRow]) -> str:
-    if not rows:
-        return ""
-    columns = list(
-        dict.fromkeys((row["task"], row["domain"], row["variation"]) for row in rows)
-    )
-    head = "".join(f"<th>{_column_title(*column)}</th>" for column in columns)
-    lines = []
-    for method in styles(row["method"] for row in rows):
-        cells = [
-            _cell(
-                [
-                    row
-                    for row in rows
-                    if row["method"] == method
-                    and (row["task"], row["domain"], row["variation"]) == column
-                ]
-            )
-            for column in columns
-        ]
-        lines.append(f"<tr><th>{escape(method)}</th>{''.join(cells)}</tr>")
-    several = len({row["seed"] for row in rows}) > 1
-    kind = "t intervals of the mean over seeds" if several else "Wilson intervals"
-    return (
-        "<h2>Success</h2>\n<table>\n<thead><tr><th>method</th>"
-        f"{head}</tr></thead>\n<tbody>\n{chr(10).join(lines)}\n</tbody>\n</table>\n"
-        f'<p class="quiet">Success at the end of an episode, with 95 % {kind}.</p>'
-    )
-
-
-def _column_title(task: str, domain: str, variation: str | None) -> str:
-    return escape(f"{task} in {domain}" + (f", {variation}" if variation else ""))
-
-
-def _cell(rows: Sequence[ResultRow]) -> str:
-    if not rows:
-        return "<td>not tried</td>"
-    interval = rate_interval(rows)
-    episodes = sum(row["episodes"] for row in rows)
-    count = f"{sum(row['successes'] for row in rows)} of {episodes}"
-    if len(rows) > 1:
-        count += f", {len(rows)} seeds"
-    return (
-        f'<td><span class="rate">{_percent(interval.estimate)}</span> '
-        f'<span class="interval">{_reach(interval)} · {count}</span>'
-        f"{_track(interval)}</td>"
-    )
-
-
-def _reach(interval: Interval) -> str:
-    if math.isnan(interval.low):
-        return "no interval"
-    low, high = max(interval.low, 0), min(interval.high, 1)
-    return f"{100 * low:.0f} to {100 * high:.0f} %"
-
-
-def _track(interval: Interval) -> str:
-    """Return a bar from 0 to 100 % with the interval."""
-    point = f'<span class="point" style="left:{100 * interval.estimate:.1f}%"></span>'
-    if math.isnan(interval.low):
-        return f'<div class="track">{point}</div>'
-    low, high = max(interval.low, 0), min(interval.high, 1)
-    place = f"left:{100 * low:.1f}%;width:{100 * (high - low):.1f}%"
-    return (
-        f'<div class="track"><span class="range" style="{place}"></span>{point}</div>'
-    )
 
 
 def _figures(run_dir: Path) -> str:
@@ -247,7 +186,3 @@ def _details(run_dir: Path, info: dict[str, Any]) -> str:
             f"{definitions(last.items())}</details>"
         )
     return "\n".join(parts)
-
-
-def _percent(rate: float) -> str:
-    return f"{100 * rate:.0f} %"

@@ -4,14 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, TypedDict
+from typing import NamedTuple, NotRequired, TypedDict
 
 import numpy as np
 import numpy.typing as npt
 
+from rlco.errors import RlcoError
+
+#: What two rows must have in common to have the same initial states, in pairs.
+PAIRED_BY = ("task", "domain", "variation", "seed", "states_seed", "episodes")
+
 
 class ResultRow(TypedDict):
-    """One policy, evaluated: a row of ``results.json``."""
+    """One policy, evaluated: a row of ``results.json``.
+
+    ``successes`` counts the episodes that were solved at their end, ``ever_successes``
+    those that were solved after some decision, ``lost`` the latter without the former.
+    ``outcomes`` and ``ever`` say the same of each episode, 0 or 1, in the order of the
+    initial states, which ``states_seed`` draws. Rows of older files lack these five.
+    """
 
     method: str
     task: str
@@ -21,6 +32,11 @@ class ResultRow(TypedDict):
     seed: int
     episodes: int
     successes: int
+    ever_successes: NotRequired[int]
+    lost: NotRequired[int]
+    outcomes: NotRequired[list[int]]
+    ever: NotRequired[list[int]]
+    states_seed: NotRequired[int]
 
 
 class Interval(NamedTuple):
@@ -139,6 +155,89 @@ def paired_difference(
     above = math.sqrt(up_p**2 - 2 * phi * up_p * down_q + down_q**2)
     difference = p.estimate - q.estimate
     return Interval(difference, difference - below, difference + above)
+
+
+def paired_rows(
+    first: ResultRow, second: ResultRow, confidence: float = 0.95
+) -> Interval:
+    """Difference of two methods' success at the end within one seed, first - second.
+
+    See `paired_difference`. It holds for these two policies, not for two methods.
+
+    Raises:
+        RlcoError: The rows have other initial states, or no outcomes per episode.
+    """
+    check_paired(first, second)
+    one, other = ([bool(o) for o in row["outcomes"]] for row in (first, second))
+    return paired_difference(one, other, confidence)
+
+
+def paired_over_seeds(
+    first: Sequence[ResultRow], second: Sequence[ResultRow], confidence: float = 0.95
+) -> Interval:
+    """Mean over seeds of two methods' difference of success at the end.
+
+    Within a seed both methods have the same initial states and demonstrations; the
+    seeds are the independent runs, so the interval is Student's t over the seeds'
+    differences, see `mean_interval`.
+
+    Args:
+        first: One row per seed.
+        second: The other method's, for the same seeds in any order.
+        confidence: Coverage of the interval.
+
+    Raises:
+        RlcoError: The two have other seeds, a seed twice, or rows that `paired_rows`
+            refuses.
+        ValueError: No rows.
+
+    Example:
+        >>> def row(seed, outcomes):
+        ...     return dict(
+        ...         method="m", task="t", domain="sim", variation=None, seed=seed,
+        ...         episodes=4, outcomes=outcomes)
+        >>> one = [row(0, [1, 1, 1, 0]), row(1, [1, 1, 0, 0])]
+        >>> other = [row(1, [1, 0, 0, 0]), row(0, [0, 1, 0, 0])]
+        >>> paired_over_seeds(one, other).estimate
+        0.375
+    """
+    partners = {row["seed"]: row for row in second}
+    given = [sorted(row["seed"] for row in rows) for rows in (first, second)]
+    if given[0] != given[1] or len(partners) != len(second):
+        raise RlcoError(
+            f"seeds {given[0]} cannot be paired with seeds {given[1]}; give one row of "
+            "each method per seed."
+        )
+    differences = []
+    for row in first:
+        partner = partners[row["seed"]]
+        check_paired(row, partner)
+        one, other = (float(np.mean(r["outcomes"])) for r in (row, partner))
+        differences.append(one - other)
+    return mean_interval(differences, confidence)
+
+
+def check_paired(first: ResultRow, second: ResultRow) -> None:
+    """Refuse two rows whose episodes did not start from the same initial states.
+
+    Raises:
+        RlcoError: They differ in what draws the initial states or in where they were
+            played, or have no outcomes per episode.
+    """
+    pair = f"{first['method']} and {second['method']} cannot be paired"
+    for name in PAIRED_BY:
+        one, other = first.get(name), second.get(name)
+        if one != other:
+            raise RlcoError(
+                f"{pair}: {name} is {one!r} and {other!r}; evaluate both from the same "
+                "initial states, in the same task and domain."
+            )
+    for row in (first, second):
+        if len(row.get("outcomes", ())) != row["episodes"]:
+            raise RlcoError(
+                f"{pair}: the row of {row['method']} does not hold one outcome per "
+                "episode, as those of older results.json; evaluate it again."
+            )
 
 
 def _correlation(a: npt.NDArray[np.bool_], b: npt.NDArray[np.bool_]) -> float:

@@ -11,6 +11,7 @@ from rlco import keys
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
+    from rlco.training.kept_policy import BestPolicy
     from rlco.training.learner import Learner
     from rlco.training.run_protocols import Collector, TrainingRun
 
@@ -38,6 +39,7 @@ def co_train(
     learner: Learner,
     *,
     check_first: Callable[[TensorDictBase], None],
+    best: BestPolicy | None = None,
 ) -> Iterator[tuple[int, Row]]:
     """Collect and learn, and yield the row of metrics.csv of each iteration.
 
@@ -50,6 +52,7 @@ def co_train(
         collector: Plays the rollouts.
         learner: Learns from them.
         check_first: Checks the first rollout before anything is learned from it.
+        best: Is offered each row and lies in each checkpoint, where there is one.
 
     Yields:
         The iteration, counted from 1, and its row: frames so far, return and success
@@ -57,6 +60,8 @@ def co_train(
     """
     if (saved := run.load_checkpoint()) is not None:
         learner.load(saved)
+        if best is not None:
+            best.load(saved["best"])
     alone = options.critic_iterations if learner.critic is not None else 0
     for iteration in run.iterations(options.iterations):
         started = time.perf_counter()
@@ -79,7 +84,11 @@ def co_train(
                 "frames_per_second": collector.frames / (learned - started),
             },
         )
-        run.save_checkpoint(iteration, learner.state())
+        state = learner.state()
+        if best is not None:
+            best.offer(iteration, row)
+            state["best"] = best.state()
+        run.save_checkpoint(iteration, state)
 
 
 def _played(rollout: TensorDictBase) -> Row:

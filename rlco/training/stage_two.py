@@ -92,6 +92,11 @@ class StageTwoOptions(AugmentOptions):
     max_grad_norm: float = option(
         1.0, "clip of the gradient's norm; inf: none", minimum=0, infinite=True
     )
+    keep: Literal["last", "best"] = option(
+        "last",
+        "policy that is saved: the last one, or that of the evaluation with the "
+        "highest success in train_domain",
+    )
     eval_every: int = option(10, "rollouts between evaluations", minimum=1)
     eval_episodes: int = option(64, "episodes of an evaluation; 0: none", minimum=0)
     eval_domains: list[str] = option(

@@ -34,7 +34,7 @@ from rlco.physics.robosuite.effect_sim import CommandPath
 from rlco.physics.robosuite.envs import RobosuiteEnvs
 from rlco.physics.robosuite.tabletop import Tabletop
 from rlco.physics.robosuite.tasks import make_plain
-from rlco.physics.spec.domain import SIM, STAND_IN, Domain, with_effects
+from rlco.physics.spec.domain import LOCKED, SIM, STAND_IN, Domain, with_effects
 
 
 @pytest.mark.parametrize("name", EFFECTS)
@@ -46,7 +46,7 @@ def test_both_backends_apply_an_effect_alike(name: str) -> None:
     assert max(apart) <= 1e-9
 
 
-@pytest.mark.parametrize("domain", [SIM, STAND_IN], ids=lambda d: d.name)
+@pytest.mark.parametrize("domain", [SIM, STAND_IN, LOCKED], ids=lambda d: d.name)
 def test_both_backends_apply_many_effects_alike(domain: Domain) -> None:
     pair = Pair(MANY, domain)
     for seed in (1, 2):

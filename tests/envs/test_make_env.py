@@ -206,7 +206,7 @@ def test_a_partial_reset_leaves_the_others_alone(backend: Backend) -> None:
     assert after["truncated"].squeeze(-1).tolist() == [True, False, True]
 
 
-@pytest.mark.parametrize("domain", ["sim", "stand_in"])
+@pytest.mark.parametrize("domain", ["sim", "stand_in", "locked"])
 def test_both_backends_report_the_same(domain: str) -> None:
     actions = random_actions(3, 2, 4, seed=3)
     actions[..., :3] *= 0.3

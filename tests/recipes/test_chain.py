@@ -12,8 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from recipe_cases import RECIPES, RL_CO, Assets, start
+from recipe_cases import RECIPES, RL_CO, Assets, refused, start
 
+import rlco.evaluation
+from rlco.policies import load_policy
 from rlco.run import Run
 from rlco.runs.metrics import read_metrics
 
@@ -136,6 +138,120 @@ def test_without_an_anchor_no_demonstrations_are_read(
     assert last["first_ratio"] == pytest.approx(1.0, abs=1e-5)
 
 
+# -- keep=best ---------------------------------------------------------------------
+
+# One more rollout than RL_CO, an evaluation after each.
+BEST = ("keep=best", "iterations=4", "eval_every=1")
+
+
+def rates_of(monkeypatch: pytest.MonkeyPatch, rates: list[float]) -> None:
+    """Let the evaluations of a run measure these rates, by the rollout."""
+
+    def success_rates(*given: Any) -> dict[str, float]:
+        return {"success_sim": rates[given[3]]}
+
+    monkeypatch.setattr(rlco.evaluation, "success_rates", success_rates)
+
+
+def kept(inputs: dict[str, list[str]]) -> list[str]:
+    names = ("iterations", "eval_every")
+    return [*(o for o in inputs["rl_co"] if o.split("=")[0] not in names), *BEST]
+
+
+def weights(folder: Path) -> bytes:
+    return (folder / "policy.safetensors").read_bytes()
+
+
+def test_the_policy_of_the_best_evaluation_is_kept(
+    inputs: dict[str, list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    folder, shorter = tmp_path / "best", tmp_path / "shorter"
+    # Rollouts 2 and 3 are equal: the earlier one counts.
+    rates_of(monkeypatch, [0.25, 0.0, 0.75, 0.75, 0.5])
+    start("rl_co", *kept(inputs), f"out={folder}")
+    last = [o for o in kept(inputs) if o not in BEST]
+    start("rl_co", *last, "eval_every=1", "iterations=2", f"out={shorter}")
+    assert weights(folder / "policy") == weights(shorter / "policy")
+    start("rl_co", f"resume={shorter}", "iterations=4")
+    assert weights(folder / "policy_last") == weights(shorter / "policy")
+    for name in ("policy", "policy_last"):
+        extra = load_policy(folder / name)[1]
+        chosen = {k: v for k, v in extra.items() if k.startswith(("keep", "kept"))}
+        best = {"keep": "best", "kept_rollout": 2, "kept_success_sim": 0.75}
+        assert chosen == (best if name == "policy" else {})
+    log = (folder / "log.txt").read_text()
+    assert "keep=best: the policy of rollout 2, success_sim 75.0 %" in log
+    rows = json.loads((folder / "results.json").read_text())["rows"]
+    assert [row["method"] for row in rows] == ["rl_co", "rl_co_best"]
+    assert (folder / "metrics.csv").read_bytes() == (
+        shorter / "metrics.csv"
+    ).read_bytes()
+
+
+@pytest.mark.parametrize("killed_at", [2, 4])
+def test_a_killed_run_keeps_the_same_best_policy(
+    inputs: dict[str, list[str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    killed_at: int,
+) -> None:
+    cut, whole = tmp_path / "cut", tmp_path / "whole"
+    rates_of(monkeypatch, [0.25, 0.75, 0.0, 0.5, 0.25])  # the best is before both
+    start("rl_co", *kept(inputs), f"out={whole}")
+    save = Run.save_checkpoint
+
+    def save_once(run: Run, step: int, state: Any, **options: Any) -> Path:
+        if step == killed_at:
+            raise KilledError
+        return save(run, step, state, **options)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "save_checkpoint", save_once)
+        with pytest.raises(KilledError):
+            start("rl_co", *kept(inputs), f"out={cut}")
+    start("rl_co", f"resume={cut}")
+    for name in ("metrics.csv", "policy/policy.safetensors", "policy/policy.json"):
+        assert (cut / name).read_bytes() == (whole / name).read_bytes(), name
+    assert load_policy(cut / "policy")[1]["kept_rollout"] == 1
+    assert weights(cut / "policy_last") == weights(whole / "policy_last")
+    assert weights(cut / "policy_last") != weights(cut / "policy")
+
+
+def test_a_start_that_is_never_beaten_is_kept(
+    assets: Assets,
+    inputs: dict[str, list[str]],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rates_of(monkeypatch, [0.5, 0.0, 0.5, 0.25, 0.5])
+    start("rl_co", *kept(inputs), f"out={tmp_path / 'best'}")
+    assert weights(tmp_path / "best" / "policy") == weights(assets.sft / "policy")
+
+
+@pytest.mark.parametrize("option", ["eval_domains=[stand_in]", "eval_episodes=0"])
+def test_the_best_is_chosen_only_by_what_is_measured(
+    inputs: dict[str, list[str]],
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    option: str,
+) -> None:
+    name = option.split("=")[0]
+    given = [o for o in kept(inputs) if o.split("=")[0] != name]
+    out = tmp_path / "out"
+    line = refused(capsys, "rl_co", *given, option, f"out={out}")
+    assert "keep=best chooses by success in the training domain" in line
+    assert not out.exists()
+
+
+def test_stage_two_counts_what_its_last_evaluation_did(assets: Assets) -> None:
+    (row,) = json.loads((assets.rl_co / "results.json").read_text())["rows"]
+    last = read_metrics(assets.rl_co / "metrics.csv")[-1]
+    assert row["method"] == "rl_co"
+    assert row["successes"] == last["success_sim"] * row["episodes"]
+    assert sum(row["outcomes"]) == row["successes"]
+    assert len(row["outcomes"]) == len(row["ever"]) == row["episodes"] == 2
+
+
 def test_evaluate_writes_what_it_counted(assets: Assets, tmp_path: Path) -> None:
     folder = tmp_path / "evaluation"
     start(
@@ -151,7 +267,9 @@ def test_evaluate_writes_what_it_counted(assets: Assets, tmp_path: Path) -> None
     (row,) = results["rows"]
     wanted = {"method": "rl_co", "domain": "stand_in", "episodes": 3, "seed": 0}
     assert wanted.items() <= row.items()
-    assert 0 <= row["successes"] <= 3
+    assert len(row["outcomes"]) == 3
+    assert row["successes"] == sum(row["outcomes"])
+    assert row["lost"] == sum(row["ever"]) - sum(row["outcomes"])
 
 
 def test_quickstart_runs_to_its_report(
@@ -177,7 +295,13 @@ def test_quickstart_runs_to_its_report(
     methods = ("real_only", "sft", "rl_co")
     assert got == {(m, d) for m in methods for d in ("sim", "stand_in")}
     page = (folder / "report.html").read_text()
-    for word in (*methods, "stand_in", "no robot moved"):
+    for word in (
+        *methods,
+        "stand_in",
+        "no robot moved",
+        "lost again",
+        "rl_co minus sft",
+    ):
         assert word in page
     for name in ("success", "curves", "gradients", "forgetting"):
         assert (folder / "plots" / f"{name}.png").stat().st_size > 1000

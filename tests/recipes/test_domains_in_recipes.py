@@ -159,6 +159,40 @@ def test_a_lerobot_checkpoint_is_co_trained_in_a_file(
     assert returns["sim"] != returns[str(damped)]
 
 
+# -- The domain of final tables ----------------------------------------------------
+
+
+@pytest.mark.parametrize("recipe", ["rl_co", "quickstart", "lerobot_co_train"])
+@pytest.mark.parametrize("name", ["locked", "rlco.physics.spec.domain:LOCKED"])
+def test_no_rl_in_the_domain_of_final_tables(
+    inputs: dict[str, list[str]],
+    assets: Assets,
+    capsys: Capture,
+    tmp_path: Path,
+    recipe: str,
+    name: str,
+) -> None:
+    out = tmp_path / "out"
+    given = inputs.get(recipe, [])
+    if recipe == "lerobot_co_train":
+        given = [f"policy={assets.sft / 'policy'}", "real_coeff=0"]
+    line = refused(capsys, recipe, *given, f"train_domain={name}", f"out={out}")
+    assert f"train_domain={name!r} is for final evaluations alone" in line
+    assert not out.exists()
+
+
+def test_demonstrations_are_recorded_and_policies_evaluated_in_locked(
+    assets: Assets, tmp_path: Path
+) -> None:
+    demos, out = tmp_path / "demos", tmp_path / "out"
+    start("record_demos", "domain=locked", "episodes=1", f"out={demos}")
+    info = json.loads((demos / "meta" / "info.json").read_text())
+    assert info["robot_type"] == "panda_locked"
+    given = [f"policy={assets.sft / 'policy'}", "episodes=2", "domain=locked"]
+    start("evaluate", *given, f"out={out}")
+    assert [row["domain"] for row in rows(out)] == ["locked"]
+
+
 # -- Effects of one's own ----------------------------------------------------------
 
 

@@ -11,7 +11,7 @@ import pytest
 from rlco.errors import RlcoError
 from rlco.reporting.plots import save_figure, success_bars
 from rlco.reporting.report import write_report
-from rlco.reporting.statistics import ResultRow
+from rlco.reporting.statistics import ResultRow, paired_rows
 from rlco.run import Run
 from rlco.runs.config import RunOptions
 
@@ -110,6 +110,59 @@ def test_several_seeds_are_a_mean_with_its_interval(run_dir: Path) -> None:
     # 0.7, 0.8, 0.9: mean 0.8, t interval [0.552, 1.048], shown up to 100 %
     assert "80 % 55 to 100 % · 48 of 60, 3 seeds" in text
     assert "t intervals of the mean over seeds" in text
+
+
+def counted(method: str, solved: list[int], ever: list[int], seed: int) -> ResultRow:
+    lost = sum(e and not s for s, e in zip(solved, ever, strict=True))
+    return {
+        **row(method, "sim", sum(solved), seed),
+        "ever_successes": sum(ever),
+        "lost": lost,
+        "outcomes": solved,
+        "ever": ever,
+        "states_seed": seed,
+    }
+
+
+def solved(count: int) -> list[int]:
+    return [1] * count + [0] * (20 - count)
+
+
+def test_ever_and_lost_again_stand_beside_success_at_the_end(run_dir: Path) -> None:
+    with Run(RunOptions(resume=str(run_dir)), "quickstart") as run:
+        run.save_results([counted("sft", solved(8), solved(12), 0)])
+    text = read(write_report(run_dir)).text
+    assert "8 of 20 ever 60 % · lost again 20 %" in text
+    assert "Lost again: ever solved, but not at the end" in text
+    assert "Differences" not in text  # of a single method
+
+
+def test_differences_are_paired_within_a_seed(run_dir: Path) -> None:
+    rows = [
+        counted("rl_co", solved(18), solved(18), 0),
+        counted("sft", solved(8), solved(12), 0),
+        counted("rl_only", solved(16), solved(18), 0),
+    ]
+    with Run(RunOptions(resume=str(run_dir)), "quickstart") as run:
+        run.save_results(rows)
+    text = read(write_report(run_dir)).text
+    gain = paired_rows(rows[0], rows[1])
+    reach = f"{100 * gain.low:+.0f} to {100 * gain.high:+.0f}"
+    assert f"rl_co minus sft +50 points {reach} · 20 states" in text
+    assert "rl_co minus rl_only +10 points" in text
+    assert "rl_only minus sft" not in text
+
+
+def test_differences_over_seeds_leave_out_what_one_method_lacks(run_dir: Path) -> None:
+    rows = [
+        counted("rl_co", solved(n), solved(n), s) for s, n in enumerate((18, 16, 20))
+    ]
+    rows += [counted("sft", solved(n), solved(n), s) for s, n in enumerate((8, 10))]
+    with Run(RunOptions(resume=str(run_dir)), "quickstart") as run:
+        run.save_results(rows)
+    text = read(write_report(run_dir)).text
+    # .5 and .3: mean .4, s / sqrt(2) = .1, t(.975, 1 d.o.f.) = 12.7062
+    assert "rl_co minus sft +40 points -87 to +167 · 2 seeds" in text
 
 
 def test_report_says_what_is_simulated(run_dir: Path) -> None:

@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import math
+from typing import Any, cast
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from rlco.reporting.statistics import mean_interval, paired_difference, wilson_interval
+from rlco.errors import RlcoError
+from rlco.reporting.statistics import (
+    ResultRow,
+    mean_interval,
+    paired_difference,
+    paired_over_seeds,
+    paired_rows,
+    wilson_interval,
+)
 
 
 def test_wilson_interval_by_hand() -> None:
@@ -92,3 +101,89 @@ def test_swapping_the_two_mirrors_the_interval(pairs: list[tuple[bool, bool]]) -
 def test_unequal_numbers_of_outcomes_cannot_be_paired() -> None:
     with pytest.raises(ValueError, match="3 outcomes cannot be paired with 2"):
         paired_difference([True] * 3, [True] * 2)
+
+
+# -- Rows of results.json ----------------------------------------------------------
+
+
+def result(method: str, seed: int, solved: list[int], **other: Any) -> ResultRow:
+    row = {
+        "method": method,
+        "task": "push_cube",
+        "policy": "gaussian",
+        "domain": "sim",
+        "variation": None,
+        "seed": seed,
+        "episodes": len(solved),
+        "successes": sum(solved),
+        "outcomes": solved,
+        "states_seed": 1_000_004 + seed,
+    }
+    return cast("ResultRow", row | other)
+
+
+def test_rows_of_one_seed_are_paired_by_their_initial_states() -> None:
+    first, second = outcomes(4, 5, 0, 1)
+    one, other = ([int(o) for o in both] for both in (first, second))
+    found = paired_rows(result("rl_co", 0, one), result("sft", 0, other))
+    assert found == paired_difference(first, second)
+    # In another order of the states the same counts say something else.
+    turned = paired_rows(result("rl_co", 0, one), result("sft", 0, other[::-1]))
+    assert turned.estimate == found.estimate
+    assert turned.low != found.low
+
+
+def test_a_difference_over_seeds_by_hand() -> None:
+    # Differences of the seeds: 3/4 - 1/4 = .5, 2/4 - 1/4 = .25, 1/4 - 2/4 = -.25
+    # mean 1/6; s^2 = ((1/3)^2 + (1/12)^2 + (5/12)^2) / 2 = 42/288 = .1458333
+    # t(.975, 2 d.o.f.) = 4.302653; reach = 4.302653 * .381881 / sqrt(3) = .948645
+    rl_co = [
+        result("rl_co", 10, [1, 1, 1, 0]),
+        result("rl_co", 11, [1, 1, 0, 0]),
+        result("rl_co", 12, [1, 0, 0, 0]),
+    ]
+    sft = [
+        result("sft", 12, [0, 1, 0, 1]),
+        result("sft", 10, [0, 1, 0, 0]),
+        result("sft", 11, [0, 0, 0, 1]),
+    ]
+    found = paired_over_seeds(rl_co, sft)
+    assert found == pytest.approx((1 / 6, 1 / 6 - 0.948645, 1 / 6 + 0.948645), abs=1e-6)
+    # One seed has no spread.
+    assert math.isnan(paired_over_seeds(rl_co[:1], sft[1:2]).low)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("task", "open_drawer"),
+        ("domain", "stand_in"),
+        ("variation", "camera"),
+        ("states_seed", 1_000_003),
+    ],
+)
+def test_rows_with_other_initial_states_are_not_paired(name: str, value: Any) -> None:
+    one, other = result("rl_co", 0, [1, 0]), result("sft", 0, [1, 0], **{name: value})
+    with pytest.raises(RlcoError, match=rf"rl_co and sft .* {name} is .*{value!r}"):
+        paired_rows(one, other)
+    with pytest.raises(RlcoError, match=f"{name} is"):
+        paired_over_seeds([one], [other])
+
+
+def test_rows_of_other_seeds_or_lengths_or_without_outcomes_are_not_paired() -> None:
+    one = result("rl_co", 0, [1, 0])
+    with pytest.raises(RlcoError, match="seed is 0 and 1"):
+        paired_rows(one, result("sft", 1, [1, 0]))
+    with pytest.raises(RlcoError, match="episodes is 2 and 3"):
+        paired_rows(one, result("sft", 0, [1, 0, 0]))
+    old = result("sft", 0, [1, 0])
+    del old["outcomes"]
+    with pytest.raises(RlcoError, match="row of sft does not hold one outcome per"):
+        paired_rows(one, old)
+    for others in ([1], [0, 0], [0, 1]):
+        rows = [result("sft", seed, [1, 0]) for seed in others]
+        with pytest.raises(RlcoError, match=r"seeds \[0\] cannot be paired with"):
+            paired_over_seeds([one], rows)
+    twice = [one, one]
+    with pytest.raises(RlcoError, match=r"seeds \[0, 0\] cannot be paired"):
+        paired_over_seeds(twice, twice)

@@ -1,4 +1,4 @@
-"""Eight tasks move natively as robosuite moves them; rlco's in both domains."""
+"""Eight tasks move natively as robosuite moves them; rlco's in every domain."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from physics_pairs import (
 )
 from stepping_cases import Watch
 
-from rlco.physics.spec.domain import SIM, STAND_IN
+from rlco.physics.spec.domain import LOCKED, SIM, STAND_IN
 from rlco.physics.spec.names import TASK_NAMES
 
 ROBOSUITE = ("Lift", "Stack", "Door", "NutAssembly")
-PLACES = [(n, d) for d in (SIM, STAND_IN) for n in TASK_NAMES]
+PLACES = [(n, d) for d in (SIM, STAND_IN, LOCKED) for n in TASK_NAMES]
 PLACES += [(n, SIM) for n in ROBOSUITE]
 # What draws actions, how many episodes are played, and how many steps of each.
 MOTIONS = {"random": (random_action, 2, 30), "contact": (contact_action, 1, 70)}

@@ -13,7 +13,7 @@ from rlco.physics.effects import AppliedEffect
 from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.robosuite.stepper import RobosuiteStepper
 from rlco.physics.robosuite.tabletop import Tabletop
-from rlco.physics.spec.domain import SIM, STAND_IN, Domain
+from rlco.physics.spec.domain import LOCKED, SIM, STAND_IN, Domain
 from rlco.physics.spec.observation import noise_size, observe
 from rlco.physics.spec.robot import PANDA
 from rlco.physics.spec.task import Array, SceneState
@@ -75,6 +75,34 @@ def test_the_stand_ins_joints_have_more_friction_and_damping(sim_model: Any) -> 
         # Not in the gripper, nor, as no scene has one here, in a fixture.
         np.testing.assert_allclose(difference[arm], added, atol=1e-12)
         np.testing.assert_array_equal(np.delete(difference, arm), 0.0)
+
+
+def test_locked_differs_from_the_stand_in_in_every_value_and_in_no_kind() -> None:
+    pairs = zip(LOCKED.effects, STAND_IN.effects, strict=True)
+    for locked, other in pairs:
+        assert (locked.name, locked.target) == (other.name, other.target)
+        assert locked.parameters.keys() == other.parameters.keys()
+        for name, value in other.parameters.items():
+            assert locked.parameters[name] != value
+    for name, value in vars(STAND_IN.sensors).items():
+        assert getattr(LOCKED.sensors, name) != value
+    # Nor is it sim with the sign turned: some of the differences from sim are larger.
+    assert abs(LOCKED.sensors.camera_yaw) > abs(STAND_IN.sensors.camera_yaw)
+    assert LOCKED.stiffness_scale < STAND_IN.stiffness_scale < SIM.stiffness_scale
+
+
+def test_the_values_of_locked_stay_as_they_were_fixed() -> None:
+    # Tables refer to them; other values need another name.
+    factors = (LOCKED.friction_scale, LOCKED.mass_scale, LOCKED.stiffness_scale)
+    assert (*factors, LOCKED.fixture_friction_scale) == (1.3, 2.0, 0.7, 0.6)
+    added = {e.name: e.parameters for e in LOCKED.model_effects}
+    assert added == {
+        "coulomb_friction": {"frictionloss": 0.5},
+        "viscous_damping": {"damping": 0.8},
+        "command_delay": {"delay": 0.1},
+    }
+    values = (-0.2, (-0.02, 0.03), 0.0045, 0.001, -0.004, -0.001)
+    assert tuple(vars(LOCKED.sensors).values()) == values
 
 
 @pytest.mark.parametrize("backend", [NativeStepper, RobosuiteStepper])

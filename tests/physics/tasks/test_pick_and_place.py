@@ -9,7 +9,7 @@ import pytest
 from expert_cases import expert_slopes, solved
 
 from rlco.physics.native.stepper import NativeStepper
-from rlco.physics.spec.domain import SIM, STAND_IN, Domain
+from rlco.physics.spec.domain import LOCKED, SIM, STAND_IN, Domain
 from rlco.physics.spec.robot import PANDA
 from rlco.physics.spec.task import SceneState
 from rlco.physics.tasks.pick_and_place import SHAPES, TASK, sample
@@ -39,8 +39,8 @@ def scene(
     )
 
 
-@pytest.mark.parametrize("domain", [SIM, STAND_IN], ids=lambda d: d.name)
-def test_the_expert_solves_95_percent_in_both_domains(domain: Domain) -> None:
+@pytest.mark.parametrize("domain", [SIM, STAND_IN, LOCKED], ids=lambda d: d.name)
+def test_the_expert_solves_95_percent_in_every_domain(domain: Domain) -> None:
     assert solved(TASK, domain, 40).mean() >= 0.95
 
 
