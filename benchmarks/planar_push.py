@@ -5,10 +5,11 @@
         policy=RUN/stages/sft/policy real_coeff=0.2
 
 `stage=one` trains real_only, sim_only and sft (Stage I) and evaluates each in the
-simulator and in "real"; `stage=two` trains RL in the simulator after one of them,
-anchored to the demonstrations of "real" by real_coeff (0: RL alone). "real" is a
-second simulator, too: `gap` names what it differs in (planar/gaps.py). All else is as
-in recipes/sft.py and recipes/rl_co.py, with their default settings.
+simulator and in `stand_in`; `stage=two` trains RL in the simulator after one of them,
+anchored to demonstrations of `stand_in` by real_coeff (0: RL alone). `stand_in` plays
+the robot's part and is a second simulator: `gap` names what it differs in
+(planar/gaps.py). All else is as in recipes/sft.py and recipes/rl_co.py, with their
+default settings.
 """
 
 from __future__ import annotations
@@ -40,10 +41,10 @@ class Config(RunOptions):
 
     name: str = option("planar", "name of the run, a part of its folder's name")
     stage: Literal["one", "two"] = option("one", "which stage is trained")
-    gap: str = option("yaw8", "what real differs in; see planar/gaps.py")
+    gap: str = option("yaw8", "what stand_in differs in; see planar/gaps.py")
     sim_demos: int = option(60, "simulated demonstrations", minimum=3)
-    real_demos: int = option(12, "demonstrations of real", minimum=3)
-    heldout_demos: int = option(9, "further ones of real, never trained on", minimum=3)
+    real_demos: int = option(12, "demonstrations in stand_in", minimum=3)
+    heldout_demos: int = option(9, "further ones there, never trained on", minimum=3)
     updates: int = option(1500, "stage=one: optimiser steps", minimum=1)
     policy: str | None = option(None, "stage=two: folder of the policy it starts from")
     real_coeff: float = option(0.2, "stage=two: beta, weight of the anchor", minimum=0)
@@ -72,7 +73,7 @@ def main(config: Config) -> None:
 
 
 def record(config: Config) -> dict[str, DemoReplayBuffer]:
-    """Return demonstrations of both domains, and held-out ones of real."""
+    """Return demonstrations of both domains, and held-out ones of stand_in."""
     from planar.demos import record
     from planar.gaps import SIM, named_gap
 
@@ -133,7 +134,7 @@ def imitate(
         updates=config.updates,
     )
     data: Any = StageOneDemos(
-        PlanarTask(),  # type: ignore[arg-type]
+        PlanarTask(),
         sim=demos["sim"] if sim_ratio > 0 else None,
         real=demos["real"] if sim_ratio < 1 else None,
     )
@@ -145,7 +146,7 @@ def imitate(
 
 
 def stage_two(config: Config) -> None:
-    """Train in the simulator, anchored to demonstrations of real."""
+    """Train in the simulator, anchored to demonstrations in stand_in."""
     from planar.env import PlanarTask
     from planar.evaluation import evaluation_envs, play_all, rates
 
@@ -187,7 +188,7 @@ def stage_two(config: Config) -> None:
         log.info("%s: %s", method, rates(outcomes))
         run.save_results(
             [
-                outcome.row(method, domain, config.gap, config.seed)  # type: ignore
+                outcome.row(method, domain, config.gap, config.seed)
                 for domain, outcome in outcomes.items()
             ]
         )

@@ -12,13 +12,15 @@ from __future__ import annotations
 
 import logging
 import os
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from rlco.reporting.comparison import comparison_table
+from rlco.reporting.comparison import comparison_table, cost_table, curves_of
 from rlco.reporting.experiment_results import result_rows, table_entries
+from rlco.reporting.plots import learning_curves, save_figure
 from rlco.run import run_recipe
 from rlco.runs import run_folder
 from rlco.runs.compare.cells import Store
@@ -101,11 +103,17 @@ def say(plan: Plan, store: Store, at_once: int) -> None:
 
 
 def save(experiment: Experiment, jobs: Sequence[Job], store: Store, out: Path) -> None:
-    """Write results.json and table.md, and print the tables."""
+    """Write results.json, table.md and curves, and print the tables."""
+    table = experiment.table
     entries = table_entries(experiment, jobs, store)
-    text = comparison_table(entries, experiment.table.differences)
+    text = comparison_table(entries, table.differences) + cost_table(entries)
     write_json(out / "results.json", {"rows": result_rows(jobs, store)})
     write_text(out / "table.md", text)
+    for group in dict.fromkeys(entry.group for entry in entries):
+        mine = [entry for entry in entries if entry.group == group]
+        if curves := curves_of(mine, table.curve_episodes):
+            name = re.sub(r"[^\w.+-]+", "-", f"curves {group}".strip())
+            save_figure(learning_curves(curves), out / "plots" / f"{name}.png")
     print(text)
     log.info("table: %s", out / "table.md")
 

@@ -1,4 +1,4 @@
-"""Success of policies in the planar task, in the simulator and in "real"."""
+"""Success of policies in the planar task, in the simulator and in `stand_in`."""
 
 from __future__ import annotations
 
@@ -16,7 +16,9 @@ from planar.gaps import SIM, named_gap
 from rlco import keys
 from rlco.evaluation import EVALUATION_SEED
 
-DOMAINS = ("sim", "real")
+#: Where policies are evaluated; `stand_in` plays the robot's part, with the gap's
+#: differences. No robot moves.
+DOMAINS = ("sim", "stand_in")
 
 
 @dataclass(frozen=True)
@@ -43,8 +45,11 @@ class Outcome:
             "seed": seed,
             "episodes": int(self.end.size),
             "successes": int(self.end.sum()),
+            "ever_successes": int(self.ever.sum()),
+            "lost": int((self.ever & ~self.end).sum()),
             "outcomes": self.end.astype(int).tolist(),
             "ever": self.ever.astype(int).tolist(),
+            "states_seed": EVALUATION_SEED,
         }
 
 

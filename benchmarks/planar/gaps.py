@@ -1,4 +1,4 @@
-"""What "real" differs in from the simulator: the gaps of the planar map."""
+"""What `stand_in` differs in from the simulator: the gaps of the planar map."""
 
 from __future__ import annotations
 
@@ -87,14 +87,14 @@ ROTATION = _rotation()
 
 SIM = Gap()
 
-#: What "real" has in every column: a slower tool, slip, and a camera that stands a
+#: What `stand_in` has in every column: a slower tool, slip, and a camera that stands a
 #: little elsewhere and is less precise. The columns differ in the rest.
-_REAL = Gap(gain=0.8, slip=0.15, shift=(0.025, -0.015), noise=0.003)
+_STAND_IN = Gap(gain=0.8, slip=0.15, shift=(0.025, -0.015), noise=0.003)
 
 GAPS = {
-    **{f"yaw{d}": replace(_REAL, yaw=float(d)) for d in (0, 8, 45, 90, 135, 180)},
-    "rotation": replace(_REAL, rotated=True),
-    "delay_gain": replace(_REAL, yaw=8.0, delay=1, gain=0.6),
+    **{f"yaw{d}": replace(_STAND_IN, yaw=float(d)) for d in (0, 8, 45, 90, 135, 180)},
+    "rotation": replace(_STAND_IN, rotated=True),
+    "delay_gain": replace(_STAND_IN, yaw=8.0, delay=1, gain=0.6),
 }
 
 

@@ -8,7 +8,9 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from rlco.errors import DataError
+from rlco.reporting.plots import Curve
 from rlco.reporting.statistics import Interval, mean_interval
+from rlco.runs.compare.cells import EVALUATED, ROLLOUT
 
 State = Literal["done", "older", "failed", "missing"]
 
@@ -24,6 +26,8 @@ class Entry:
         state: Whether there is a result: ``done``, ``older`` (by an older version of
             the code), ``failed`` or ``missing``.
         rows: Of results.json, one a domain.
+        curve: Evaluations on the way, rows of metrics.csv; empty where none are drawn.
+        minutes: Of a processor, that the job took which this is a result of [min].
     """
 
     label: str
@@ -31,6 +35,8 @@ class Entry:
     seed: Any
     state: State
     rows: tuple[Mapping[str, Any], ...] = ()
+    curve: tuple[Mapping[str, float], ...] = ()
+    minutes: float | None = None
 
 
 @dataclass(frozen=True)
@@ -208,3 +214,38 @@ def _points(mean: Interval) -> str:
     if math.isnan(mean.low):
         return text
     return f"{text} [{100 * mean.low:+.1f}, {100 * mean.high:+.1f}]"
+
+
+def cost_table(entries: Sequence[Entry]) -> str:
+    """Return what the methods' jobs cost, means over seeds and groups, in Markdown."""
+    lines = ["", "| method | its job, minutes of a processor |", "|---|---|"]
+    for label in dict.fromkeys(entry.label for entry in entries):
+        minutes = [e.minutes for e in entries if e.label == label and e.minutes]
+        mean = f"{sum(minutes) / len(minutes):.1f}" if minutes else "missing"
+        lines.append(_row([label, mean]))
+    return "\n".join(lines) + "\n"
+
+
+def curves_of(entries: Sequence[Entry], episodes: int | None = None) -> list[Curve]:
+    """Return success over the length of RL, all seeds of each method in each domain.
+
+    Seeds whose evaluations were at other steps than the first seed's are left out.
+
+    Args:
+        entries: Of one group; those without a curve are left out.
+        episodes: Of an evaluation on the way; None: as many as at the end.
+    """
+    found = []
+    for label in dict.fromkeys(entry.label for entry in entries):
+        runs = [e for e in entries if e.label == label and e.curve and e.rows]
+        if not runs:
+            continue
+        frames = [row["frames"] for row in runs[0].curve]
+        alike = [e for e in runs if [row["frames"] for row in e.curve] == frames]
+        count = episodes or runs[0].rows[0]["episodes"]
+        for name in runs[0].curve[0]:
+            if name.startswith(EVALUATED) and name != ROLLOUT:
+                domain = name.removeprefix(EVALUATED)
+                success = [[row[name] for row in entry.curve] for entry in alike]
+                found.append(Curve(label, domain, frames, success, count))
+    return found

@@ -51,7 +51,11 @@ def table_entries(
                     rows = _rows(cell, line)
                 label = filled(line.label, job.values)
                 seed = job.values.get(table.seed)
-                found.append(Entry(label, group, seed, state, rows))
+                curve = cell.curves.get(line.curve, ()) if cell and line.curve else ()
+                minutes = cell.cpu_seconds / 60 if cell else None
+                found.append(
+                    Entry(label, group, seed, state, rows, tuple(curve), minutes)
+                )
     return found
 
 

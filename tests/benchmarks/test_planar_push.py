@@ -268,7 +268,7 @@ def test_stage_one_reports_three_methods_in_two_domains(stage_one: Path) -> None
     assert [(row["method"], row["domain"]) for row in rows] == [
         (method, domain)
         for method in ("real_only", "sim_only", "sft")
-        for domain in ("sim", "real")
+        for domain in ("sim", "stand_in")
     ]
     for row in rows:
         assert len(row["outcomes"]) == len(row["ever"]) == row["episodes"] == 6
@@ -302,7 +302,7 @@ def test_without_an_anchor_no_demonstration_pulls(
     assert {row["method"] for row in rows} == {"rl_only"}
     header = (tmp_path / "rl" / "metrics.csv").read_text().splitlines()[0]
     assert "loss_bc_real" not in header
-    assert "ever_real" in header
+    assert "ever_stand_in" in header
 
 
 def test_a_stage_two_without_a_policy_is_refused(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import os
 import shutil
@@ -21,6 +22,7 @@ from rlco.runs.compare.experiment import read_experiment
 from rlco.runs.compare.jobs import Job, expand
 from rlco.runs.compare.plan import make_plan
 from rlco.runs.compare.queue import Queue
+from rlco.runs.config import parse
 
 #: A job that takes no time. It notes that it ran, and solves what it is asked to.
 SCRIPT = '''"""Counts."""
@@ -58,7 +60,8 @@ rows = [
     {"method": given["who"].split()[0], "domain": "sim", "episodes": EPISODES,
      "successes": solved, "seed": int(given.get("seed", 0))}
 ]
-(out / "metrics.csv").write_text("step,success_sim,loss\\n0,0.25,\\n1,,3\\n2,0.5,2\\n")
+table = ["step,frames,success_sim,success_rollout", "0,0,.25,", "1,8,,.3", "2,16,.5,.4"]
+(out / "metrics.csv").write_text("\\n".join(table) + "\\n")
 (out / "results.json").write_text(json.dumps({"rows": rows}))
 '''
 
@@ -169,8 +172,8 @@ def test_cells_hold_what_a_result_comes_from(grid: Grid) -> None:
     assert cell["rows"][0]["successes"] == 6
     # The rows of metrics.csv with an evaluation.
     assert cell["curves"]["metrics.csv"] == [
-        {"step": 0.0, "success_sim": 0.25},
-        {"step": 2.0, "success_sim": 0.5, "loss": 2.0},
+        {"step": 0.0, "frames": 0.0, "success_sim": 0.25},
+        {"step": 2.0, "frames": 16.0, "success_sim": 0.5, "success_rollout": 0.4},
     ]
     assert cell["cpu_seconds"] > 0
     assert cell["processor"]
@@ -456,3 +459,37 @@ def test_a_method_that_a_job_does_not_report_is_named(
     said = capsys.readouterr().err
     assert "first_seed1 has no result of method 'sft'" in said
     assert "it has first." in said
+
+
+# -- The experiments of the repository -------------------------------------------------
+
+EXPERIMENTS = sorted((RECIPES.parent / "benchmarks" / "experiments").glob("*.yaml"))
+TUNED_ON = range(100, 120)  # no result may be of a seed that settings were chosen on
+
+
+@pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
+def test_an_experiment_has_options_that_its_scripts_take_and_no_tuning_seed(
+    path: Path,
+) -> None:
+    experiment = read_experiment(path)
+    assert not set(experiment.over[experiment.table.seed]) & set(TUNED_ON)
+    for job in {job.kind.name: job for job in expand(experiment)}.values():
+        spec = importlib.util.spec_from_file_location("script", job.kind.path)
+        assert spec is not None
+        assert spec.loader is not None
+        script = importlib.util.module_from_spec(spec)
+        sys.modules["script"] = script
+        spec.loader.exec_module(script)
+        folders = dict.fromkeys(job.needs, "folder")
+        given = [f"{key}={value}" for key, value in job.options(folders).items()]
+        parse(script.Config, given, job.kind.path)
+
+
+def test_the_file_in_the_documentation_can_be_read(tmp_path: Path) -> None:
+    page = (RECIPES.parent / "docs" / "recipes.md").read_text("utf-8")
+    path = tmp_path / "anchor.yaml"
+    path.write_text(page.split("```yaml\n")[1].split("```")[0])
+    experiment = read_experiment(path)
+    names = [job.name for job in expand(experiment)]
+    assert len(names) == 5 + 10
+    assert names[5:7] == ["rl_seed0_beta0", "rl_seed0_beta0.2"]

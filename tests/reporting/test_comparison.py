@@ -7,7 +7,13 @@ from typing import Any
 import pytest
 
 from rlco.errors import DataError
-from rlco.reporting.comparison import Entry, State, comparison_table
+from rlco.reporting.comparison import (
+    Entry,
+    State,
+    comparison_table,
+    cost_table,
+    curves_of,
+)
 
 
 def row(successes: int, domain: str = "sim", **more: Any) -> dict[str, Any]:
@@ -83,3 +89,28 @@ def test_two_results_in_one_domain_are_refused() -> None:
     twice = Entry("a", "", 0, "done", (row(1), row(2)))
     with pytest.raises(DataError, match="several results in 'sim'"):
         comparison_table([twice])
+
+
+def test_curves_are_of_the_seeds_that_were_evaluated_alike() -> None:
+    def seed(number: int, frames: list[float]) -> Entry:
+        curve = tuple(
+            {"frames": f, "success_sim": number / 10, "success_rollout": 1.0}
+            for f in frames
+        )
+        return Entry("rl", "", number, "done", (row(1),), curve)
+
+    runs = [seed(0, [0, 8]), seed(1, [0, 8]), seed(2, [0, 9])]
+    (curve,) = curves_of([*runs, *entries("sft", [3, 4, 5])])
+    assert (curve.method, curve.domain, curve.episodes) == ("rl", "sim", 10)
+    assert curve.frames == [0, 8]
+    assert curve.success == [[0.0, 0.0], [0.1, 0.1]]
+    assert curves_of(runs, 64)[0].episodes == 64
+
+
+def test_costs_are_means_over_the_jobs_that_there_are() -> None:
+    runs = [
+        Entry("rl", "", seed, "done", (row(1),), minutes=minutes)
+        for seed, minutes in enumerate([1.0, 2.0])
+    ]
+    text = cost_table([*runs, Entry("rl", "", 2, "missing"), *entries("sft", [None])])
+    assert lines(text)[1:] == ["| rl | 1.5 |", "| sft | missing |"]

@@ -13,8 +13,8 @@ from rlco.runs.compare.jobs import Job
 from rlco.runs.metrics import read_metrics
 from rlco.runs.whole_files import write_text
 
-#: Columns of metrics.csv that only an evaluation fills begin with this.
-_EVALUATED = "success_"
+#: Columns of metrics.csv that begin with this only an evaluation fills, but for one.
+EVALUATED, ROLLOUT = "success_", "success_rollout"
 _DIGITS = 5  # of a curve's numbers: enough to draw and compare, short enough to commit
 
 
@@ -113,7 +113,7 @@ def curves(run: Path, patterns: Iterable[str]) -> dict[str, list[dict[str, float
         rows = [
             {name: float(f"{value:.{_DIGITS}g}") for name, value in row.items()}
             for row in read_metrics(path)
-            if any(name.startswith(_EVALUATED) for name in row)
+            if any(name.startswith(EVALUATED) and name != ROLLOUT for name in row)
         ]
         if rows:
             found[str(path.relative_to(run))] = rows

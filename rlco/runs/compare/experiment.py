@@ -49,11 +49,19 @@ class JobKind:
 
 @dataclass(frozen=True)
 class Line:
-    """A method of the table: which rows of which job."""
+    """A method of the table.
+
+    Attributes:
+        label: What it is called; a template.
+        job: Whose results it is.
+        method: Which rows of them; None: there are no others.
+        curve: The table of the job's that is drawn; None: none.
+    """
 
     label: str
     job: str
     method: str | None
+    curve: str | None
 
 
 @dataclass(frozen=True)
@@ -65,12 +73,14 @@ class Table:
         seed: The variable that is averaged over.
         lines: The methods.
         differences: Pairs of labels, first minus second.
+        curve_episodes: Episodes behind a point of a curve; None: as many as at the end.
     """
 
     by: tuple[str, ...]
     seed: str
     lines: tuple[Line, ...]
     differences: tuple[tuple[str, str], ...]
+    curve_episodes: int | None
 
 
 @dataclass(frozen=True)
@@ -105,7 +115,7 @@ def read_experiment(path: Path) -> Experiment:
         table:
           methods:
             sft: {job: sft, method: sft}
-            beta {beta}: {job: rl}
+            beta {beta}: {job: rl, curve: metrics.csv}  # drawn, too
           differences: [[beta 0.2, sft], [beta 0.2, beta 0]]
 
     ``{seed}`` is a variable's value; ``{sft}`` the run folder of the job ``sft`` with
@@ -266,8 +276,10 @@ class _Reader:
 
     def script(self, given: Any, what: str) -> Path:
         """Return a script's file: as given, beside the YAML, or in the checkout."""
-        for folder in (Path(), self.folder, ROOT):
-            path = folder / str(given)
+        places = [folder / str(given) for folder in (Path(), self.folder, ROOT)]
+        # Where a wheel has the recipes.
+        places.append(ROOT / "rlco" / "_recipes" / Path(str(given)).name)
+        for path in places:
             if given and path.is_file():
                 return path.resolve()
         self.problems.append(
@@ -286,7 +298,8 @@ class _Reader:
     ) -> Table:
         """Return what is compared."""
         content = self.mapping(given, "table")
-        self.known(content, ("by", "seed", "methods", "differences"), "table")
+        known = ("by", "seed", "methods", "differences", "curve_episodes")
+        self.known(content, known, "table")
         by = content.get("by", [])
         by = [by] if isinstance(by, str) else list(by)
         seed = str(content.get("seed", "seed"))
@@ -303,7 +316,10 @@ class _Reader:
             ).items()
         )
         pairs = self.differences(content.get("differences") or [], lines, over)
-        return Table(tuple(by), seed, lines, pairs)
+        episodes = content.get("curve_episodes")
+        if episodes is not None and not isinstance(episodes, int):
+            self.problems.append(f"table's curve_episodes is {episodes!r}, no number")
+        return Table(tuple(by), seed, lines, pairs, episodes)
 
     def differences(
         self, given: Any, lines: Iterable[Line], over: Mapping[str, tuple[Any, ...]]
@@ -335,14 +351,18 @@ class _Reader:
         """Return one method of the table."""
         what = f"table's method {label!r}"
         content = self.mapping(content, what)
-        self.known(content, ("job", "method"), what)
-        job, method = str(content.get("job")), content.get("method")
+        self.known(content, ("job", "method", "curve"), what)
+        job = str(content.get("job"))
+        method, curve = (
+            None if (given := content.get(name)) is None else str(given)
+            for name in ("method", "curve")
+        )
         named = self.names(label, what, over)
         if job not in jobs:
             self.problems.append(
                 f"{what} has job {job!r}{suggest(job, jobs)}; known: {', '.join(jobs)}"
             )
-            return Line(label, job, method)
+            return Line(label, job, method, curve)
         missing = {*jobs[job].variables} - elsewhere - {*named}
         if missing:
             braces = " ".join(f"{{{name}}}" for name in sorted(missing))
@@ -350,4 +370,4 @@ class _Reader:
                 f"{what} mixes all values of {', '.join(sorted(missing))}; put "
                 f"{braces} into its label, or the variable into by"
             )
-        return Line(label, job, None if method is None else str(method))
+        return Line(label, job, method, curve)
