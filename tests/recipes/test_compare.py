@@ -10,6 +10,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -353,17 +354,34 @@ def test_code_that_changes_while_a_job_runs_is_no_result_of_it(
     assert "| first | missing | - | 0 of 3: 3 failed |" in grid.table
 
 
-def test_a_killed_runner_takes_its_jobs_along_and_they_are_resumed(grid: Grid) -> None:
+@pytest.fixture
+def running(grid: Grid) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
+    """Start a runner in another process; return it in the midst of its first job."""
     grid.content["over"] = {"seed": [1], "beta": [0]}
     grid.content["jobs"]["first"]["options"]["steps"] = 40  # two seconds
     grid.content["table"].pop("differences")
     command = [sys.executable, str(RECIPES / "compare.py"), *grid.arguments()]
-    runner = subprocess.Popen(command)
+    runner = subprocess.Popen(command, start_new_session=True)
     steps = None
     while steps is None or len(steps.read_text().split()) < 3:
         assert runner.poll() is None
         steps = next((grid.folder / "out").glob("jobs/*/part/steps.txt"), None)
         time.sleep(0.01)
+    yield runner, steps
+    runner.kill()
+
+
+def check_resumed(grid: Grid) -> None:
+    """Check that the job goes on where it was, and that what needs it follows."""
+    assert grid.run() == ["again first 1", "second 1 0"]
+    done = next((grid.folder / "out").glob("jobs/first*/run/steps.txt"))
+    assert done.read_text().split() == [str(step) for step in range(40)]
+
+
+def test_a_killed_runner_takes_its_jobs_along_and_they_are_resumed(
+    grid: Grid, running: tuple[subprocess.Popen[bytes], Path]
+) -> None:
+    runner, steps = running
     os.kill(runner.pid, signal.SIGKILL)
     runner.wait()
     time.sleep(0.3)
@@ -371,9 +389,22 @@ def test_a_killed_runner_takes_its_jobs_along_and_they_are_resumed(grid: Grid) -
     time.sleep(0.3)
     assert steps.read_text() == stopped
     assert len(stopped.split()) < 40
-    assert grid.run() == ["again first 1", "second 1 0"]
-    done = next((grid.folder / "out").glob("jobs/first*/run/steps.txt"))
-    assert done.read_text().split() == [str(step) for step in range(40)]
+    check_resumed(grid)
+
+
+@pytest.mark.parametrize("everyone", [True, False], ids=["group", "runner"])
+def test_an_interrupted_runner_stops_its_jobs_and_writes_the_table(
+    grid: Grid, running: tuple[subprocess.Popen[bytes], Path], everyone: bool
+) -> None:
+    # Ctrl-C in a terminal reaches jobs, too; a signal to the runner does not.
+    runner, steps = running
+    (os.killpg if everyone else os.kill)(runner.pid, signal.SIGINT)
+    assert runner.wait() == 130
+    assert "| first | missing | - | 0 of 1: 1 missing |" in grid.table
+    attempts = json.loads((steps.parents[1] / "attempts.json").read_text())["attempts"]
+    assert len(attempts) == 1
+    assert attempts[0]["cpu_seconds"] > 0
+    check_resumed(grid)
 
 
 def test_a_job_that_cannot_be_resumed_begins_anew(grid: Grid) -> None:

@@ -70,10 +70,11 @@ def poll(process: subprocess.Popen[bytes]) -> Ended | None:
 
 def stop(process: subprocess.Popen[bytes]) -> Ended:
     """Interrupt a process as Ctrl-C does; kill it if that does not help."""
-    process.send_signal(signal.SIGINT)
+    # Not by Popen's own method: that takes an ended process in, and its time is lost.
+    os.kill(process.pid, signal.SIGINT)
     asked = time.monotonic()
     while (ended := poll(process)) is None:
         if time.monotonic() - asked > _PATIENCE:
-            process.kill()
+            os.kill(process.pid, signal.SIGKILL)
         time.sleep(0.05)
     return ended
