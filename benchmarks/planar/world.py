@@ -140,7 +140,7 @@ class World:
 
         Returns:
             The direction to the mark (N, 2), the way there [m] (N,), the tool's
-            position along that direction, seen from the disc [m] (N,), and its
+            position along that direction from the disc [m] (N,), and its
             distance from that line [m] (N,).
         """
         remaining = self.remaining()

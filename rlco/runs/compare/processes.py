@@ -32,7 +32,7 @@ class Ended:
 def start(command: Sequence[str], log: Path, *, nice: int) -> subprocess.Popen[bytes]:
     """Start a process with one thread for OpenMP, its output appended to a log.
 
-    It is told to end when this one does: an orphan would hold its run folder.
+    It ends when this one does: an orphan would hold its run folder.
     """
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     with log.open("ab") as output:
