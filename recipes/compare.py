@@ -1,0 +1,122 @@
+"""Run a grid of runs that one YAML file describes, and tabulate what they came to.
+
+    uv run recipes/compare.py experiment=benchmarks/experiments/planar.yaml dry=true
+    uv run recipes/compare.py experiment=benchmarks/experiments/planar.yaml hours=6
+    uv run recipes/compare.py experiment=... cells=benchmarks/cells/planar hours=0
+
+Every job is cached by what decides its result: script, options, code. Started again it
+goes on where it was; with hours=0 it makes the tables of what there is.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from rlco.reporting.comparison import comparison_table, cost_table, curves_of
+from rlco.reporting.experiment_results import result_rows, table_entries
+from rlco.reporting.plots import learning_curves, save_figure
+from rlco.run import run_recipe
+from rlco.runs import run_folder
+from rlco.runs.compare.cells import Store
+from rlco.runs.compare.experiment import Experiment, read_experiment
+from rlco.runs.compare.jobs import Job, expand
+from rlco.runs.compare.plan import Plan, expected_minutes, make_plan
+from rlco.runs.compare.queue import Queue
+from rlco.runs.config import REQUIRED, option
+from rlco.runs.whole_files import write_json, write_text
+
+log = logging.getLogger("rlco.compare")
+
+
+@dataclass
+class Config:
+    """Options of compare.py."""
+
+    experiment: str = option(REQUIRED, "YAML file of the experiment")
+    out: str | None = option(
+        None, "folder of jobs and tables, gone on with; null: outputs/compare/NAME"
+    )
+    cells: str | None = option(
+        None, "folder of small result files to commit: read, and added to"
+    )
+    code: Literal["same", "any"] = option(
+        "same", "any: use results of another version of the code, marked"
+    )
+    jobs: int = option(2, "jobs at once, one thread each", minimum=1)
+    hours: float | None = option(
+        None, "start no further job after so long [h]; 0: tables alone", minimum=0
+    )
+    nice: int = option(10, "niceness of the jobs", minimum=0, maximum=19)
+    dry: bool = option(False, "say what would run and how long it would take")
+
+
+def main(config: Config) -> None:
+    """Plan, run what is missing, and write the tables."""
+    path = Path(config.experiment)
+    experiment = read_experiment(path)
+    out = Path(config.out or Path("outputs", "compare", experiment.name))
+    jobs = expand(experiment)
+    store = Store(out, config.cells and Path(config.cells), config.code)
+    plan = make_plan(jobs, store)
+    say(plan, store, config.jobs)
+    if config.dry:
+        return
+    store.check()
+    lock = run_folder.lock(out)
+    try:
+        queue = Queue(plan, store, config.jobs, config.hours, config.nice)
+        queue.run()
+    finally:
+        # What there is when it is interrupted makes a table, too.
+        save(experiment, jobs, store, out)
+        os.close(lock)
+
+
+def say(plan: Plan, store: Store, at_once: int) -> None:
+    """Say what will run, how much of it, and how long it will take."""
+    minutes, measured = expected_minutes(plan.every, store)
+    for name, each in minutes.items():
+        every = [job for job in plan.every if job.kind.name == name]
+        left = [job for job in plan.jobs if job.kind.name == name]
+        log.info(
+            "%s: %d of %d jobs to run, %.1f minutes each (%s)",
+            name,
+            len(left),
+            len(every),
+            each,
+            "measured" if name in measured else "expected",
+        )
+    if older := store.others(plan.jobs):
+        log.info(
+            "%d of them have results of another version of the code; code=any uses "
+            "those",
+            older,
+        )
+    hours = plan.hours(plan.jobs, store, at_once)
+    log.info("%.1f hours, %d jobs at once", hours, at_once)
+
+
+def save(experiment: Experiment, jobs: Sequence[Job], store: Store, out: Path) -> None:
+    """Write results.json, table.md and curves, and print the tables."""
+    table = experiment.table
+    entries = table_entries(experiment, jobs, store)
+    text = comparison_table(entries, table.differences) + cost_table(entries)
+    write_json(out / "results.json", {"rows": result_rows(jobs, store)})
+    write_text(out / "table.md", text)
+    for group in dict.fromkeys(entry.group for entry in entries):
+        mine = [entry for entry in entries if entry.group == group]
+        if curves := curves_of(mine, table.curve_episodes):
+            name = re.sub(r"[^\w.+-]+", "-", f"curves {group}".strip())
+            save_figure(learning_curves(curves), out / "plots" / f"{name}.png")
+    print(text)
+    log.info("table: %s", out / "table.md")
+
+
+if __name__ == "__main__":
+    run_recipe(main, Config, loads="rlco.run")

@@ -1,0 +1,84 @@
+"""What an experiment came to: the rows of its cells, and the entries of its table."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from rlco.errors import DataError
+from rlco.reporting.comparison import Entry, State
+from rlco.runs.compare.cells import Cell, Store
+from rlco.runs.compare.experiment import Experiment, Line
+from rlco.runs.compare.jobs import Job
+from rlco.runs.compare.queue import failed_before
+from rlco.runs.compare.templates import filled
+
+
+def result_rows(jobs: Sequence[Job], store: Store) -> list[dict[str, Any]]:
+    """Return every row of every cell, with its job, values of variables and key."""
+    rows = []
+    for job in jobs:
+        if (cell := store.find(job)) is not None:
+            about = {"job": job.kind.name, "over": dict(job.values), "key": cell.key}
+            rows += [{**row, **about} for row in cell.rows]
+    return rows
+
+
+def table_entries(
+    experiment: Experiment, jobs: Sequence[Job], store: Store
+) -> list[Entry]:
+    """Return what each method came to, in every group and with every seed.
+
+    What is missing, or failed, is an entry as well.
+
+    Raises:
+        DataError: A cell has no row of the method that a line asks for.
+    """
+    failed = failed_before(jobs, store)
+    table = experiment.table
+    found = []
+    for group, values in _groups(experiment):
+        for line in table.lines:
+            for job in jobs:
+                if job.kind.name != line.job or not _agree(job, values):
+                    continue
+                cell = store.find(job)
+                state: State = "failed" if job in failed else "missing"
+                rows: tuple[dict[str, Any], ...] = ()
+                if cell is not None:
+                    state = "done" if cell.key == job.key else "older"
+                    rows = _rows(cell, line)
+                label = filled(line.label, job.values)
+                seed = job.values.get(table.seed)
+                curve = cell.curves.get(line.curve, ()) if cell and line.curve else ()
+                minutes = cell.cpu_seconds / 60 if cell else None
+                found.append(
+                    Entry(label, group, seed, state, rows, tuple(curve), minutes)
+                )
+    return found
+
+
+def _groups(experiment: Experiment) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Yield what there is a table of: its name, and the values of its variables."""
+    by = experiment.table.by
+    for combination in itertools.product(*(experiment.over[name] for name in by)):
+        values = dict(zip(by, combination, strict=True))
+        yield ", ".join(f"{name} {value}" for name, value in values.items()), values
+
+
+def _rows(cell: Cell, line: Line) -> tuple[dict[str, Any], ...]:
+    """Return the rows of a cell that a line of the table is of."""
+    rows = tuple(row for row in cell.rows if line.method in (None, row["method"]))
+    if not rows:
+        methods = ", ".join(dict.fromkeys(str(row["method"]) for row in cell.rows))
+        raise DataError(
+            f"{cell.name} has no result of method {line.method!r}, which the table "
+            f"asks for; it has {methods}."
+        )
+    return rows
+
+
+def _agree(job: Job, values: dict[str, Any]) -> bool:
+    """Return whether a job has these values, as far as it varies with them."""
+    return all(job.values.get(name, value) == value for name, value in values.items())

@@ -1,0 +1,156 @@
+"""Which version of the code a script runs: a hash that wording does not change."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import rlco
+
+#: The folder that holds the package rlco.
+ROOT = Path(rlco.__file__).parent.parent
+
+_DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+
+
+@dataclass(frozen=True)
+class Code:
+    """The code of a script, as it was when it was read.
+
+    Attributes:
+        script: The script.
+        version: See `code_version`.
+        stamps: When each of its files was written last, and how long it is.
+    """
+
+    script: Path
+    version: str
+    stamps: Mapping[Path, tuple[int, int]]
+
+    def has_changed(self) -> bool:
+        """Return whether the script's code is another one now."""
+        # To hash it takes seconds of a processor, to look at its files does not.
+        if all(_stamp(path) == stamp for path, stamp in self.stamps.items()):
+            return False
+        return code_version(self.script) != self.version
+
+
+def read_code(script: Path) -> Code:
+    """Return the code that a script runs now."""
+    files = {path: _stamp(path) for path in sources(script).values()}
+    return Code(script, code_version(script), files)
+
+
+def code_version(script: Path) -> str:
+    """Return a hash of a script and of all that it may import from rlco or beside it.
+
+    Comments, docstrings and layout do not enter; names, constants and messages do. A
+    module that imports others by names made at run time brings its whole package.
+    Other libraries do not enter: their versions are pinned, and cells name them.
+
+    Args:
+        script: The Python file that is started.
+
+    Returns:
+        64 hexadecimal digits.
+    """
+    digest = hashlib.sha256()
+    for name, (_, tree) in sorted(_followed(script).items()):
+        digest.update(f"{name}\n{_normalised(tree)}\n".encode())
+    return digest.hexdigest()
+
+
+def sources(script: Path) -> dict[str, Path]:
+    """Return the files that a script may run, by the names they have in the hash.
+
+    Found without running anything: import statements are followed, also those inside
+    functions, to packages of rlco and to modules beside the script.
+    """
+    return {name: path for name, (path, _) in _followed(script).items()}
+
+
+def _stamp(path: Path) -> tuple[int, int]:
+    try:
+        known = path.stat()
+    except OSError:
+        return 0, 0
+    return known.st_mtime_ns, known.st_size
+
+
+def _followed(script: Path) -> dict[str, tuple[Path, ast.Module]]:
+    """Return the files that a script may run, and what is in them."""
+    roots = (script.parent.resolve(), ROOT)
+    waiting, found = [script.resolve()], dict[str, tuple[Path, ast.Module]]()
+    while waiting:
+        path = waiting.pop()
+        name = _name(path, roots)
+        if name in found:
+            continue
+        tree = ast.parse(path.read_bytes(), str(path))
+        found[name] = path, tree
+        for module in {*_imported(tree, path, roots)}:
+            waiting += _files(module, roots)
+        if _imports_by_name(tree):
+            waiting += path.parent.rglob("*.py")
+    return found
+
+
+def _name(path: Path, roots: Sequence[Path]) -> str:
+    """Name a file by where it lies below a root: a checkout may be anywhere."""
+    return next(str(path.relative_to(r)) for r in roots if path.is_relative_to(r))
+
+
+def _normalised(tree: ast.Module) -> str:
+    """Return a tree as text without docstrings, which are cut out of it."""
+    for node in ast.walk(tree):
+        if isinstance(node, _DOCUMENTED) and ast.get_docstring(node, clean=False):
+            node.body = node.body[1:]
+    return ast.dump(tree)
+
+
+def _imported(tree: ast.Module, path: Path, roots: Sequence[Path]) -> Iterator[str]:
+    """Yield the dotted names that a file imports, the packages above them too."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            base = _base(node, path, roots)
+            names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
+        else:
+            continue
+        for name in names:
+            parts = name.split(".")
+            yield from (".".join(parts[:end]) for end in range(1, len(parts) + 1))
+
+
+def _base(node: ast.ImportFrom, path: Path, roots: Sequence[Path]) -> str:
+    """Return the absolute name that a ``from`` statement imports from."""
+    if not node.level:
+        return node.module or ""
+    package = Path(_name(path, roots)).parts[: -node.level]
+    return ".".join([*package, *([node.module] if node.module else [])])
+
+
+def _files(module: str, roots: Sequence[Path]) -> list[Path]:
+    """Return the file of a module, if it is rlco's or lies beside the script."""
+    beside, root = roots
+    for folder in (beside, root):
+        if folder == root and module.partition(".")[0] != "rlco":
+            continue
+        base = folder.joinpath(*module.split("."))
+        for path in (base.with_name(f"{base.name}.py"), base / "__init__.py"):
+            if path.is_file():
+                return [path]
+    return []
+
+
+def _imports_by_name(tree: ast.Module) -> bool:
+    return any(
+        isinstance(node, ast.Call)
+        and getattr(node.func, "attr", getattr(node.func, "id", ""))
+        in ("import_module", "__import__")
+        for node in ast.walk(tree)
+    )

@@ -1,0 +1,127 @@
+"""The jobs of an experiment, one for each combination of values, and their keys."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from rlco.runs.compare.code_version import Code, read_code
+from rlco.runs.compare.experiment import Experiment, JobKind
+from rlco.runs.compare.templates import filled, plain
+
+
+@dataclass(frozen=True)
+class Job:
+    """One run, and what decides its result.
+
+    Attributes:
+        kind: The job as written.
+        values: Of its variables.
+        needs: The jobs whose folders it reads, by their names.
+        code: What it runs.
+    """
+
+    kind: JobKind
+    values: Mapping[str, Any]
+    needs: Mapping[str, Job]
+    code: Code
+
+    def __hash__(self) -> int:
+        return hash(self.key)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Job) and self.key == other.key
+
+    @cached_property
+    def name(self) -> str:
+        """What it is called where people read it.
+
+        It names the job and the values: ``rl_beta0.2_seed3``.
+        """
+        values = [f"{name}{plain(value)}" for name, value in self.values.items()]
+        return re.sub(r"[^\w.+-]+", "-", "_".join([self.kind.name, *values]))
+
+    @property
+    def folder(self) -> str:
+        """The name of its folder."""
+        return f"{self.name}-{self.key[:8]}"
+
+    @cached_property
+    def identity(self) -> str:
+        """A hash of script and options, whatever the version of the code."""
+        folders = {name: f"job:{job.identity}" for name, job in self.needs.items()}
+        return _hash(self._decided_by(folders))
+
+    @cached_property
+    def key(self) -> str:
+        """A hash of all that decides the result: script, options, code."""
+        folders = {name: f"job:{job.key}" for name, job in self.needs.items()}
+        return _hash({**self._decided_by(folders), "code": self.code.version})
+
+    def options(self, folders: Mapping[str, str]) -> dict[str, str]:
+        """Return the options as the command line takes them.
+
+        Args:
+            folders: The run folder of each job that it needs.
+        """
+        names = {**self.values, **folders}
+        return {key: filled(value, names) for key, value in self.kind.options.items()}
+
+    def _decided_by(self, folders: Mapping[str, str]) -> dict[str, Any]:
+        options = self.options(folders)
+        return {
+            "script": self.kind.script,
+            "options": {key: _contents(value) for key, value in options.items()},
+        }
+
+
+def _contents(value: str) -> str:
+    """Replace a file's path by a hash of what is in it: its place decides nothing."""
+    try:
+        return f"file:{hashlib.sha256(Path(value).read_bytes()).hexdigest()}"
+    except (OSError, ValueError):
+        return value
+
+
+def _hash(content: Any) -> str:
+    text = json.dumps(content, sort_keys=True)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def expand(experiment: Experiment) -> list[Job]:
+    """Return every job, those that others need before them.
+
+    Jobs of one kind come in the order of the values; the first variable changes last.
+    """
+    code = {path: read_code(path) for path in {k.path for k in _kinds(experiment)}}
+    found: dict[tuple[str, tuple[Any, ...]], Job] = {}
+    for kind in _kinds(experiment):
+        for combination in itertools.product(
+            *(experiment.over[name] for name in kind.variables)
+        ):
+            values = dict(zip(kind.variables, combination, strict=True))
+            needs = {
+                need: find(found, experiment.jobs[need], values) for need in kind.needs
+            }
+            found[kind.name, combination] = Job(kind, values, needs, code[kind.path])
+    return list(found.values())
+
+
+def _kinds(experiment: Experiment) -> list[JobKind]:
+    return list(experiment.jobs.values())
+
+
+def find(
+    jobs: Mapping[tuple[str, tuple[Any, ...]], Job],
+    kind: JobKind,
+    values: Mapping[str, Any],
+) -> Job:
+    """Return the job of a kind with these values of the variables that it has."""
+    return jobs[kind.name, tuple(values[name] for name in kind.variables)]

@@ -1,0 +1,80 @@
+"""Job processes: started, waited for with their time, and ended with this one."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+_DIES_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux's prctl
+_PATIENCE = 20.0  # for a process to end by itself once it was asked to [s]
+
+
+@dataclass(frozen=True)
+class Ended:
+    """How a process ended.
+
+    Attributes:
+        status: Its exit status; negative: the signal that ended it.
+        cpu_seconds: Of the processor, its children's with it [s].
+    """
+
+    status: int
+    cpu_seconds: float
+
+
+def start(command: Sequence[str], log: Path, *, nice: int) -> subprocess.Popen[bytes]:
+    """Start a process with one thread for OpenMP, its output appended to a log.
+
+    It ends when this one does: an orphan would hold its run folder.
+    """
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    with log.open("ab") as output:
+        return subprocess.Popen(
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+            env=environment,
+            preexec_fn=_prepare(nice),
+        )
+
+
+def _prepare(nice: int) -> Callable[[], None]:
+    """Return what a child does before it becomes the command."""
+    bind = ctypes.CDLL(None).prctl if sys.platform == "linux" else None
+
+    def prepare() -> None:
+        os.nice(nice)
+        if bind is not None:
+            bind(_DIES_WITH_PARENT, signal.SIGTERM)
+
+    return prepare
+
+
+def poll(process: subprocess.Popen[bytes]) -> Ended | None:
+    """Return how a process ended; None while it runs."""
+    # Popen's own poll would not tell the time on the processor.
+    pid, status, usage = os.wait4(process.pid, os.WNOHANG)
+    if not pid:
+        return None
+    process.returncode = os.waitstatus_to_exitcode(status)
+    return Ended(process.returncode, usage.ru_utime + usage.ru_stime)
+
+
+def stop(process: subprocess.Popen[bytes]) -> Ended:
+    """Interrupt a process as Ctrl-C does; kill it if that does not help."""
+    # Not by Popen's own method: that takes an ended process in, and its time is lost.
+    os.kill(process.pid, signal.SIGINT)
+    asked = time.monotonic()
+    while (ended := poll(process)) is None:
+        if time.monotonic() - asked > _PATIENCE:
+            os.kill(process.pid, signal.SIGKILL)
+        time.sleep(0.05)
+    return ended

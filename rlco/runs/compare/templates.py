@@ -1,0 +1,74 @@
+"""Texts of an experiment that name variables and jobs: ``{seed}``, ``{sft}/policy``."""
+
+from __future__ import annotations
+
+import string
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+
+def names_in(value: Any) -> list[str]:
+    """Return the names in braces, in their order.
+
+    Raises:
+        ValueError: Braces do not match, or hold more than a name.
+
+    Example:
+        >>> names_in(["{gap}", "{sft}/policy", 3])
+        ['gap', 'sft']
+    """
+    found: list[str] = []
+    for text in _texts(value):
+        for _, name, _, _ in string.Formatter().parse(text):
+            if name is None:
+                continue
+            if not name.isidentifier():
+                raise ValueError(f"braces hold {name!r}, which is no name")
+            found.append(name)
+    return found
+
+
+def _texts(value: Any) -> Iterator[str]:
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, list):
+        for item in value:
+            yield from _texts(item)
+
+
+def filled(value: Any, names: Mapping[str, Any]) -> str:
+    """Return a value as a recipe's command line takes it, names filled in.
+
+    Example:
+        >>> filled(["sim", "{where}"], {"where": "stand_in"})
+        '[sim,stand_in]'
+        >>> filled(True, {}), filled(None, {}), filled(0.2, {})
+        ('true', 'null', '0.2')
+    """
+    if isinstance(value, list):
+        return f"[{','.join(filled(item, names) for item in value)}]"
+    if value is None or isinstance(value, bool):
+        return {None: "null", True: "true", False: "false"}[value]
+    shown = {key: plain(one) for key, one in names.items()}
+    return value.format(**shown) if isinstance(value, str) else str(value)
+
+
+def plain(value: Any) -> Any:
+    """Return a variable's value as texts show it: numbers can still be formatted."""
+    return filled(value, {}) if value is None or isinstance(value, bool) else value
+
+
+def flat(options: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return options with groups as dotted names.
+
+    Example:
+        >>> flat({"gaussian": {"std": 0.1}, "seed": 1})
+        {'gaussian.std': 0.1, 'seed': 1}
+    """
+    found: dict[str, Any] = {}
+    for name, value in options.items():
+        if isinstance(value, Mapping):
+            found |= flat(value, f"{prefix}{name}.")
+        else:
+            found[f"{prefix}{name}"] = value
+    return found

@@ -1,0 +1,116 @@
+"""Tables of methods over seeds, by hand-worked numbers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from rlco.errors import DataError
+from rlco.reporting.comparison import (
+    Entry,
+    State,
+    comparison_table,
+    cost_table,
+    curves_of,
+)
+
+
+def row(successes: int, domain: str = "sim", **more: Any) -> dict[str, Any]:
+    return {"method": "m", "domain": domain, "episodes": 10} | {
+        "successes": successes,
+        **more,
+    }
+
+
+def entries(
+    label: str, counts: list[int | None], state: State = "done", group: str = ""
+) -> list[Entry]:
+    """Return one entry a seed; None is a seed without a result."""
+    return [
+        Entry(label, group, seed, "missing")
+        if count is None
+        else Entry(label, group, seed, state, (row(count),))
+        for seed, count in enumerate(counts)
+    ]
+
+
+def lines(text: str) -> list[str]:
+    return [line for line in text.splitlines() if line.startswith("| ")]
+
+
+def test_a_mean_has_students_interval_and_stands_beside_the_worst_seed() -> None:
+    # t[1] = 12.706, s = sqrt(0.02): half-width 12.706 * 0.1 = 1.27, cut at 0 and 1.
+    found = lines(comparison_table(entries("sft", [3, 5])))
+    assert found == [
+        "| method | sim | worst seed | seeds |",
+        "| sft | 40% [0%, 100%] | 30% | 2 |",
+    ]
+
+
+def test_differences_are_paired_by_seed_and_need_both() -> None:
+    both = [*entries("a", [9, 7, None, 5]), *entries("b", [5, 4, 8, None])]
+    found = lines(comparison_table(both, [("a", "b")]))
+    # Gains of 0.4 and 0.3: 0.35 +- 12.706 * 0.05
+    assert found[-1] == "| a - b | +35.0 [-28.5, +98.5] | 2 |"
+    assert found[1] == "| a | 70% [20%, 100%] | 50% | 3 of 4: 1 missing |"
+
+
+def test_what_was_solved_and_lost_stands_beside_the_end() -> None:
+    kept = row(2, outcomes=[1, 1] + 8 * [0], ever=[1, 1, 1, 1, 1] + 5 * [0])
+    found = lines(comparison_table([Entry("a", "", 0, "done", (kept,))]))
+    assert found == [
+        "| method | sim | worst seed | at some time | lost again | seeds |",
+        "| a | 20% | 20% | 50% | 30% | 1 |",
+    ]
+
+
+def test_each_group_has_its_table_and_domains_their_columns() -> None:
+    rows = (row(1), row(2, "stand_in"), row(3, "stand_in", variation="camera"))
+    text = comparison_table(
+        [Entry("a", "gap yaw0", 0, "done", rows), *entries("a", [4], group="gap yaw8")]
+    )
+    assert text.startswith("## gap yaw0\n\n| method | sim | worst seed | stand_in |")
+    assert "| a | 10% | 10% | 20% | 20% | 30% | 30% | 1 |" in text
+    assert "## gap yaw8\n\n| method | sim | worst seed | seeds |" in text
+    assert "| a | 40% | 40% | 1 |" in text
+
+
+def test_older_results_are_marked_and_failures_counted() -> None:
+    text = comparison_table(
+        [*entries("a", [4], "older"), Entry("a", "", 1, "failed"), *entries("b", [1])]
+    )
+    assert "| a \\* | 40% | 40% | 1 of 2: 1 failed |" in text
+    assert "| b | 10% | 10% | 1 |" in text
+    assert text.endswith("\\* with results of another version of the code\n")
+
+
+def test_two_results_in_one_domain_are_refused() -> None:
+    twice = Entry("a", "", 0, "done", (row(1), row(2)))
+    with pytest.raises(DataError, match="several results in 'sim'"):
+        comparison_table([twice])
+
+
+def test_curves_are_of_the_seeds_that_were_evaluated_alike() -> None:
+    def seed(number: int, frames: list[float]) -> Entry:
+        curve = tuple(
+            {"frames": f, "success_sim": number / 10, "success_rollout": 1.0}
+            for f in frames
+        )
+        return Entry("rl", "", number, "done", (row(1),), curve)
+
+    runs = [seed(0, [0, 8]), seed(1, [0, 8]), seed(2, [0, 9])]
+    (curve,) = curves_of([*runs, *entries("sft", [3, 4, 5])])
+    assert (curve.method, curve.domain, curve.episodes) == ("rl", "sim", 10)
+    assert curve.frames == [0, 8]
+    assert curve.success == [[0.0, 0.0], [0.1, 0.1]]
+    assert curves_of(runs, 64)[0].episodes == 64
+
+
+def test_costs_are_means_over_the_jobs_that_there_are() -> None:
+    runs = [
+        Entry("rl", "", seed, "done", (row(1),), minutes=minutes)
+        for seed, minutes in enumerate([1.0, 2.0])
+    ]
+    text = cost_table([*runs, Entry("rl", "", 2, "missing"), *entries("sft", [None])])
+    assert lines(text)[1:] == ["| rl | 1.5 |", "| sft | missing |"]
