@@ -44,7 +44,7 @@ class Config:
 
 def main(config: Config) -> None:
     """Record, then say what was recorded."""
-    from rlco.errors import OutputExistsError
+    from rlco.errors import ConfigError
     from rlco.gap.practice_arm import record_arm, write_known_model
     from rlco.physics.effects import load_code
     from rlco.physics.spec.domain import make_domain
@@ -52,7 +52,12 @@ def main(config: Config) -> None:
     load_code(config.effects_code)
     known = make_domain(config.known)
     if config.model is not None and Path(config.model).exists():
-        raise OutputExistsError(config.model)
+        raise ConfigError(
+            [
+                f"model={config.model!r} exists and is not overwritten; give a file "
+                "that does not, or model=null to write none"
+            ]
+        )
     record_arm(
         config.out,
         config.task,

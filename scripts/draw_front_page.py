@@ -60,7 +60,8 @@ def draw_gap(axes: Axes, stretch: Stretch) -> None:
     axes.set_xlabel("time [s]")
     axes.set_ylabel(f"{stretch.channel} [degrees]")
     axes.set_title("Where the simulator disagrees, and what it lacks")
-    axes.legend(frameon=False, fontsize=8)
+    axes.set_ylim(-80, 60)  # room for the legend
+    axes.legend(frameon=False, fontsize=8, loc="lower left")
 
 
 def draw_success(axes: Axes) -> None:

@@ -51,7 +51,7 @@ def prune(spec: mujoco.MjSpec) -> mujoco.MjSpec:
     Every body has its inertia written out, equal to the compiled one. Gone are geoms
     that can touch nothing, sensors, skins, and meshes, height fields, textures and
     materials that nothing else uses. Joints, actuators and bodies without a name get
-    one, since effects are told by names: ``joint1``, ``body1``; an actuator that of
+    one, since effects refer to names: ``joint1``, ``body1``; an actuator that of
     its joint. Links on fixed joints stay links of their own.
 
     Raises:

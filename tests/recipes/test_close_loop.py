@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from recipe_cases import start
+from recipe_cases import refused, start
 
 from rlco.physics.effects import AppliedEffect
 from rlco.physics.effects.effects_file import read_effects, write_effects
@@ -109,3 +109,15 @@ def test_another_effect_may_be_hidden(tmp_path: Path) -> None:
     config = module.Config(hidden=str(mine))
     assert module.hide(config, tmp_path / "hidden.yaml") == [tilt]
     assert read_effects(tmp_path / "hidden.yaml").effects == (tilt,)
+
+
+def test_a_model_that_exists_is_not_overwritten(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    model = tmp_path / "arm.xml"
+    model.write_text("mine")
+    out = tmp_path / "logs"
+    line = refused(capsys, "record_logs", f"out={out}", f"model={model}")
+    assert "exists and is not overwritten" in line
+    assert model.read_text() == "mine"
+    assert not out.exists()

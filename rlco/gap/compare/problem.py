@@ -194,7 +194,7 @@ class Value:
 
 @dataclass(frozen=True)
 class NamedEffect:
-    """A named effect, its parameters, and the effects it cannot be told apart from.
+    """A named effect, its parameters, and the effects it cannot be distinguished from.
 
     Attributes:
         name: The effect.
@@ -226,7 +226,7 @@ class Gap:
 
 @dataclass(frozen=True)
 class HeldOutGroup:
-    """Recordings that were judged together, by fits that have not seen them.
+    """Recordings that were judged together, by fits that did not use them.
 
     Attributes:
         label: What they share.

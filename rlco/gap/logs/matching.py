@@ -122,9 +122,9 @@ def few(names: Sequence[str], most: int = 8) -> str:
         >>> few(["hip", "knee", "toe"], most=2)
         'hip, knee, and 1 more'
     """
-    told = [str(name) for name in names[:most]]
+    shown = [str(name) for name in names[:most]]
     more = [f"and {len(names) - most} more"] if len(names) > most else []
-    return ", ".join([*told, *more])
+    return ", ".join([*shown, *more])
 
 
 def _match_joints(stems: Sequence[str], model: LoadedModel) -> dict[str, str]:
@@ -180,14 +180,14 @@ def _refuse_unmatched(table: Table, joints: dict[str, str], model: LoadedModel) 
     near = [stem for stem in spare if suggest(stem, lacking)] if joints else spare
     some = [*left, *near]
     if (lacking and some) or not placed:
-        told = [
+        odd = [
             stem if stem and not stem.isdecimal() else headers[stem] for stem in some
         ]
         raise DataError(
-            f"the log's {len(told)} columns {few(told) or 'none'} match no joint of "
-            f"model {model.name!r}{_nearest(told, lacking)}; its {len(lacking)} joints "
+            f"the log's {len(odd)} columns {few(odd) or 'none'} match no joint of "
+            f"model {model.name!r}{_nearest(odd, lacking)}; its {len(lacking)} joints "
             f"without a column are {few(lacking) or 'none'}; {_HINT}."
-            if told
+            if odd
             else f"the log has no joint positions and model {model.name!r} has joints "
             f"{few(model.joints) or 'none'}; give a log of this robot, or {_HINT[5:]}."
         )

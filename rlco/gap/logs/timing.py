@@ -112,7 +112,7 @@ def repeated_rows(recording: Recording) -> NDArray[np.bool_]:
     """Return which rows repeat the measurement before them while it moves, (T,).
 
     Resting or sticking joints, and coarse encoders, rightly show the same numbers
-    again. A repetition is told from them by the jump that ends it: it makes good for
+    again. A repetition differs from them in the jump that ends it: it makes good for
     all the rows that were lost, at the speed before and after. Where most of a motion's
     steps are followed by repetitions the sensor is read more often than it measures.
     """

@@ -97,7 +97,7 @@ def _refuse_dead(
 ) -> None:
     for column, name in enumerate(names):
         levels = np.unique(position[:, column])
-        # A joint that sticks is still seen to tremble; not so a cable that is off.
+        # A joint that sticks still trembles in its readings, a loose cable does not.
         if len(levels) > 2 or np.ptp(levels) > _STEP:
             continue
         kind = mujoco.mjtJoint(model.model.joint(name).type[0])
@@ -141,16 +141,16 @@ def _refuse_swapped(names: Sequence[str], most: Array) -> None:
     if others and set(others.values()) == set(others):
         raise DataError(
             f"{few([names[j] for j in others])} look swapped: "
-            f"{_told(names, others)}; give rename= for positions or for commands."
+            f"{_swapped(names, others)}; give rename= for positions or for commands."
         )
 
 
-def _told(names: Sequence[str], others: dict[int, int]) -> str:
-    told = [
+def _swapped(names: Sequence[str], others: dict[int, int]) -> str:
+    phrases = [
         f"the position of {names[j]} follows the command of {names[other]}"
         for j, other in others.items()
     ]
-    return " and ".join(told[:2])
+    return " and ".join(phrases[:2])
 
 
 def _refuse_mirrored(names: Sequence[str], most: Array, least: Array) -> None:

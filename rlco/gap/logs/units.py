@@ -77,14 +77,14 @@ def to_radians(
     if not recordings or not columns.joints.any():
         return log
     sent = _command_ratio(recordings, columns)
-    told = _decide(recordings, columns, angles)
-    if told == "radians" and sent < 1.0:
+    unit = _decide(recordings, columns, angles)
+    if unit == "radians" and sent < 1.0:
         raise DataError(
             "commands are 57 times smaller than positions, as if they were radians and "
             "positions degrees, but as degrees positions leave the model's range; give "
             "the model of this robot, or angles=degrees."
         )
-    scale = _DEGREE if told == "degrees" else 1.0
+    scale = _DEGREE if unit == "degrees" else 1.0
     scales = _Scales(scale, scale / _speed_ratio(recordings, columns), scale / sent)
     notes = _notes(scales)
     if not notes:
@@ -161,8 +161,8 @@ def _speed_ratio(recordings: Sequence[Recording], columns: Angular) -> float:
     ]
     if not pairs:
         return 1.0
-    slopes, told = (np.concatenate(part) for part in zip(*pairs, strict=True))
-    return _unit_ratio(slopes, told)
+    slopes, velocities = (np.concatenate(part) for part in zip(*pairs, strict=True))
+    return _unit_ratio(slopes, velocities)
 
 
 def _unit_ratio(one: Array, other: Array) -> float:
@@ -201,7 +201,7 @@ def _decide(
             f"angles reach {reach:.0f}, far outside the model's joint ranges as "
             "radians and inside them as degrees; give angles=degrees, or leave it out."
         )
-    # Where the model's range has room for it, a joint may turn as far as it is told.
+    # Where the model's range has room for it, a joint may turn as far as commanded.
     if asked == "radians" and spun and not (high[turns] < np.inf).all():
         raise DataError(
             f"angles reach {reach:.0f}, further or faster than an arm's joints turn in "

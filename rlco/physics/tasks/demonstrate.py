@@ -160,17 +160,17 @@ def _failures(
     where = f"in domain {domain.name!r}"
     if len(texts) == 1 < len(task.instructions):
         where += f" where it was to {next(iter(texts))!r}"
-    told = (
+    reason = (
         f"the expert of {task.name!r} solved only {len(tried) - len(failed)} of "
         f"{len(tried)} episodes {where}; it failed in "
         f"{format_indices(one.number for one in failed)} of seed {seed}"
     )
     if stopped := sum(one.stopped for one in failed):
-        told += (
+        reason += (
             f", and in {stopped} of them the tool stood still at the end: aim beyond "
             "where it must arrive, as an arm stops short of the goal that it is sent to"
         )
-    return told
+    return reason
 
 
 def _batch(

@@ -149,7 +149,7 @@ class CausalTransformer(nn.Module):
 
         Returns:
             Logits [N, P, vocabulary], at least float32, and the last layer's features
-            [N, width] of the position that predicts the first token: it has seen no
+            [N, width] of the position that predicts the first token: it has read no
             token, so a value may be read from it.
         """
         shown = self.embedding[tokens[:, :-1]]
@@ -195,8 +195,8 @@ class CausalTransformer(nn.Module):
     def _told(self, context: torch.Tensor, positions: int) -> torch.Tensor:
         """Return what the first positions know before any token [N, P, width]."""
         gated = context.to(self.gate.dtype).unsqueeze(1) * self.gate[:positions]
-        told: torch.Tensor = self.read(gated) + self.place[:positions]
-        return told
+        read: torch.Tensor = self.read(gated) + self.place[:positions]
+        return read
 
     def _logits(self, x: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
         """Return logits, at least float32, of features before and after the norm."""

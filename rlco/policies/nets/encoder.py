@@ -104,8 +104,8 @@ class ObservationEncoder(nn.Module):
         if num_instructions:
             self.in_keys.append(INSTRUCTION_ID)
         # Of the objects: what there is once more for each instruction.
-        seen = environment_state_size + (self.image.features if self.image else 0)
-        self.size = state_size + num_instructions + seen * (1 + num_instructions)
+        scene = environment_state_size + (self.image.features if self.image else 0)
+        self.size = state_size + num_instructions + scene * (1 + num_instructions)
 
     def _normalizer(
         self, name: str, key: tuple[str, ...], size: int
@@ -143,20 +143,20 @@ class ObservationEncoder(nn.Module):
 
     def forward(self, tensordict: TensorDictBase) -> torch.Tensor:
         """Return the features [*B, size]; float32, or float64 where inputs are."""
-        parts, seen = [], []
+        parts, scene = [], []
         if self.state is not None:
             parts.append(self.state(read(tensordict, STATE)))
         if self.environment_state is not None:
-            seen.append(self.environment_state(read(tensordict, ENVIRONMENT_STATE)))
+            scene.append(self.environment_state(read(tensordict, ENVIRONMENT_STATE)))
         if self.image is not None:
-            seen.append(self.image(read(tensordict, IMAGE)))
-        parts += seen
+            scene.append(self.image(read(tensordict, IMAGE)))
+        parts += scene
         if self.num_instructions:
             chosen = read(tensordict, INSTRUCTION_ID)
             dtype = parts[0].dtype if parts else torch.get_default_dtype()
             one_hot = functional.one_hot(chosen, self.num_instructions).to(dtype)
             parts += [
-                (one_hot.unsqueeze(-1) * one.unsqueeze(-2)).flatten(-2) for one in seen
+                (one_hot.unsqueeze(-1) * one.unsqueeze(-2)).flatten(-2) for one in scene
             ]
             parts.append(one_hot)
         return torch.cat(parts, dim=-1)

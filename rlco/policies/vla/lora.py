@@ -71,7 +71,7 @@ def merged_state(model: nn.Module) -> dict[str, torch.Tensor]:
     """Return a model's state under the names that it had without adapters.
 
     Adapters are added to the weights beside them; the model itself stays as it is.
-    Weights of 16 bits hold a small change only roughly: how much of it is lost is told
+    Weights of 16 bits hold a small change only roughly: what is lost of it is logged
     where that is more than a tenth.
     """
     state = {

@@ -87,8 +87,8 @@ class Prefix:
 
     def write_summary(self, tensordict: TensorDictBase, device: torch.device) -> None:
         """Put into a batch what critics read alone; it holds no other prefix then."""
-        told = {"summary": self.summary.detach().to(device)}
-        tensordict.set(PREFIX, TensorDict(told, tensordict.batch_size))
+        cached = {"summary": self.summary.detach().to(device)}
+        tensordict.set(PREFIX, TensorDict(cached, tensordict.batch_size))
 
     @staticmethod
     def read(tensordict: TensorDictBase) -> Prefix | None:

@@ -66,7 +66,7 @@ def add_next_summaries(
     """Give the next observations of a rollout [N, T] their summaries too.
 
     The next observation of a decision is the observation of the one after it, which
-    the policy has seen already; that of the last one passes through the model.
+    the policy has encoded already; that of the last one passes through the model.
 
     Args:
         rollout: whole episodes, one a row, summaries beside the observations.

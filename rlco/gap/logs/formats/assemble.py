@@ -97,12 +97,12 @@ def _renamed(
 def _under(column: Column, new: str, model: LoadedModel | None) -> Column:
     joints = () if model is None else model.joints
     actuators = () if model is None else model.actuators
-    told = parse_header(new, joints, actuators)
-    if new in joints or new in actuators or told.kind == "extra":
-        bare = "position" if told.kind == "extra" else told.kind
+    meaning = parse_header(new, joints, actuators)
+    if new in joints or new in actuators or meaning.kind == "extra":
+        bare = "position" if meaning.kind == "extra" else meaning.kind
         kind = bare if column.kind == "extra" else column.kind
         return replace(column, kind=kind, stem=new)
-    return replace(column, kind=told.kind, stem=told.stem)
+    return replace(column, kind=meaning.kind, stem=meaning.stem)
 
 
 def _refuse_unlike(tables: Sequence[Table]) -> None:
@@ -196,8 +196,8 @@ def _pose(table: Table, found: Found) -> Array | None:
 
 
 def _free_body(table: Table, model: LoadedModel | None) -> str | None:
-    told = {parse_pose(c.header) for c, _ in table.columns if c.kind == "pose"}
-    named = [found[0] for found in told if found is not None]
+    poses = {parse_pose(c.header) for c, _ in table.columns if c.kind == "pose"}
+    named = [found[0] for found in poses if found is not None]
     if model is None:
         return named[0] or None if named else None
     bodies = model.free_bodies

@@ -32,8 +32,8 @@ def aligned(table: Table) -> Table:
         (array([0. , 0.2]), array([5., 5.]))
     """
     topics = _topics(table.columns)
-    told = {topic: _messages(columns) for topic, columns in topics.items()}
-    whole = {topic: rows for topic, rows in told.items() if rows is not None}
+    messages = {topic: _messages(columns) for topic, columns in topics.items()}
+    whole = {topic: rows for topic, rows in messages.items() if rows is not None}
     sparse = [topic for topic, rows in whole.items() if not rows.all()]
     places = [c.source for c, _ in table.columns if c.kind == "position" and c.source]
     first = next((topic for topic in places if topic in whole), None)
@@ -42,7 +42,7 @@ def aligned(table: Table) -> Table:
     kept = whole[first]
     others = np.any([rows for topic, rows in whole.items() if topic != first], axis=0)
     if not kept.all() and not np.all(kept | others):
-        return table  # rows in which no topic has a message: a fault, told elsewhere
+        return table  # rows in which no topic has a message: reported elsewhere
     columns = tuple(
         (
             c,

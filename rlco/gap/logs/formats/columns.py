@@ -49,13 +49,13 @@ def tables_of(
         DataError: No column is a time and there is no period, or lengths that do not
             add up.
     """
-    told = {header: _meaning(header, model) for header in columns}
+    meanings = {header: _meaning(header, model) for header in columns}
     pose = _pose_columns(columns, model)
     time, times = _time(name, columns, period)
     split = [h for h in columns if h.lower() in EPISODE]
     aside = {*times, *split, *(h for h in columns if h.lower() in _COUNTERS)}
     whole = [
-        (pose.get(header, told[header]), values)
+        (pose.get(header, meanings[header]), values)
         for header, values in columns.items()
         if header not in aside
     ]

@@ -24,8 +24,8 @@ def read_csv(path: Path, model: LoadedModel | None) -> list[Table]:
 
     Commas, semicolons, tabs or blanks separate; lines that start with ``#`` are
     comments, but the last one before the numbers may be the header. See
-    `rlco.gap.logs.formats.headers` for what headers mean. A column ``episode`` tells
-    several recordings apart. Cells may be quoted, and hold a list, which then counts as
+    `rlco.gap.logs.formats.headers` for what headers mean. A column ``episode``
+    separates recordings. Cells may be quoted, and hold a list, which then counts as
     a column a number (see `rlco.gap.logs.formats.list_cells`). Columns of text are left
     out, and noted.
 

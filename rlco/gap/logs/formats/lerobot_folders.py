@@ -55,8 +55,8 @@ def read_lerobot(
         for name in used:
             values = np.asarray(columns[name][rows], dtype=float)
             values = values.reshape(episode.length, -1)
-            told = _told(name, folder.features[name], model)
-            parts += [(column, values[:, i]) for i, column in enumerate(told)]
+            described = _columns(name, folder.features[name], model)
+            parts += [(column, values[:, i]) for i, column in enumerate(described)]
         stamps = columns["timestamp"][rows] if _clock(folder) else np.zeros(0)
         time = _time(folder, episode.length, np.asarray(stamps, dtype=float))
         name = f"episode {episode.index}"
@@ -77,7 +77,7 @@ def _is_channel(name: str, feature: Feature) -> bool:
     return numbers and name not in _COUNTERS and feature.size <= _MOST
 
 
-def _told(name: str, feature: Feature, model: LoadedModel | None) -> list[Column]:
+def _columns(name: str, feature: Feature, model: LoadedModel | None) -> list[Column]:
     """Return what each number of a feature is."""
     default = _KINDS.get(name)
     names = feature.names or _default_names(name, feature.size, model)
@@ -90,13 +90,13 @@ def _told(name: str, feature: Feature, model: LoadedModel | None) -> list[Column
     actuators = () if model is None else model.actuators
     columns = []
     for number in names:
-        told = parse_header(number, joints, actuators, default)
+        meaning = parse_header(number, joints, actuators, default)
         # An action's name may say what it commands: ``shoulder_pan.pos``.
-        sent = default == "command" and told.kind == "position"
-        kind = "command" if sent else told.kind
+        sent = default == "command" and meaning.kind == "position"
+        kind = "command" if sent else meaning.kind
         if default == "command" and kind in ("velocity", "torque"):
             kind = "extra"
-        columns.append(Column(kind, told.stem, f"{name}.{number}", told.angles))
+        columns.append(Column(kind, meaning.stem, f"{name}.{number}", meaning.angles))
     return columns
 
 

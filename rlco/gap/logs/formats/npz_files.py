@@ -31,12 +31,12 @@ def read_npz(path: Path, model: LoadedModel | None) -> list[Table]:
     An array of T numbers is the column of its name, one of shape (T, n) a channel
     such as ``position`` or ``action`` (``joint_names`` may name its columns), ``data``
     of shape (T, n) has its columns named by ``columns``; without, 7 are a free body's
-    place and quaternion (w, x, y, z), and 13 also its velocities. ``length`` tells
+    place and quaternion (w, x, y, z), and 13 also its velocities. ``length`` says
     recordings apart that lie one after the other. Single numbers are facts; more may
     lie in a JSON file beside it, where ``dt`` is the seconds of a row.
 
     Raises:
-        DataError: The file is damaged, its arrays differ in length, or nothing tells
+        DataError: The file is damaged, its arrays differ in length, or nothing says
             the times.
     """
     arrays = _arrays(path)
@@ -113,12 +113,12 @@ def _facts(
     if not beside.is_file():
         return facts, []
     try:
-        told = json.loads(beside.read_text())
+        content = json.loads(beside.read_text())
     except ValueError as error:
         raise DataError(f"file {str(beside)!r} is not valid JSON ({error}).") from None
     numbers = {
         key: float(value)
-        for key, value in (told.items() if isinstance(told, dict) else ())
+        for key, value in (content.items() if isinstance(content, dict) else ())
         if isinstance(value, (int, float)) and not isinstance(value, bool)
     }
     note = f"Facts were read from {beside.name}: {few(list(numbers))}."
@@ -132,12 +132,12 @@ def _rows(
 ) -> int:
     if lengths is not None:
         return int(np.sum(lengths.astype(int)))
-    told = {key: len(a) for key, a in tables.items() if a.dtype.kind in "fiub"}
-    if not told:
+    sizes = {key: len(a) for key, a in tables.items() if a.dtype.kind in "fiub"}
+    if not sizes:
         raise DataError(f"file {str(path)!r} holds no arrays of numbers.")
-    times = [n for key, n in told.items() if key.lower().startswith(("time", "t"))]
-    rows = times[0] if times else max(told.values())
-    odd = [f"{key} {n}" for key, n in told.items() if n != rows and n > 1]
+    times = [n for key, n in sizes.items() if key.lower().startswith(("time", "t"))]
+    rows = times[0] if times else max(sizes.values())
+    odd = [f"{key} {n}" for key, n in sizes.items() if n != rows and n > 1]
     if odd:
         raise DataError(
             f"arrays of {str(path)!r} differ in length: {few(odd)}, and {rows} rows; "

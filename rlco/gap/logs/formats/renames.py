@@ -46,10 +46,10 @@ def of_families(
             continue
         members = _members(table, theirs)
         if not members:
-            told = few([column.header for column, _ in table.columns], 16)
+            headers = few([column.header for column, _ in table.columns], 16)
             raise DataError(
                 f"rename names {theirs!r}{suggest(theirs, known)}, which the log does "
-                f"not have; it has {told}."
+                f"not have; it has {headers}."
             )
         for header, stem in members.items():
             found[header] = ours if ours == LEFT_OUT else f"{ours}.{stem}"

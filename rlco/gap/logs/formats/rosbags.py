@@ -187,9 +187,9 @@ def _add(
             f"{topic.kind} ({error}); record it again."
         ) from None
     stamp = getattr(getattr(message, "header", None), "stamp", None)
-    told = 0 if stamp is None else stamp.sec * 1_000_000_000 + stamp.nanosec
+    stamped = 0 if stamp is None else stamp.sec * 1_000_000_000 + stamp.nanosec
     topic.receipts.append(receipt)
-    topic.stamps.append(told or receipt)
+    topic.stamps.append(stamped or receipt)
     parts = _READERS[topic.kind](message)
     topic.rows.append({part[0]: part for part in parts if len(part[1]) == len(part[2])})
 
@@ -234,8 +234,8 @@ def _columns(path: Path, name: str, topic: _Topic) -> list[tuple[Column, Array]]
                 values = values[[here.index(joint) for joint in names]]
             rows.append(values)
         stacked = np.array(rows, dtype=float)
-        told = [_column(topic.kind, name, part, joint) for joint in names]
-        columns += [(c, stacked[:, i]) for i, c in enumerate(told) if c is not None]
+        parsed = [_column(topic.kind, name, part, joint) for joint in names]
+        columns += [(c, stacked[:, i]) for i, c in enumerate(parsed) if c is not None]
     return columns
 
 

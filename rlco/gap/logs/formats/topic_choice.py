@@ -64,7 +64,7 @@ def one_source(table: Table, named: Collection[str] = ()) -> Table:
 
 
 def _source(column: Column, table: Table) -> str:
-    """Return the topic of a column; where none is told, its header without its joint.
+    """Return the topic of a column; where it has none, its header without its joint.
 
     Plain headers are of one source, unless two of them tell the same.
     """

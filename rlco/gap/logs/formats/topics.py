@@ -52,20 +52,20 @@ def parse_topic(header: str) -> Column | None:
     """Return what a header that begins with a topic says; None if it is no such one.
 
     Example:
-        >>> told = parse_topic("/forward_position_controller/commands/data[2]")
-        >>> told.kind, told.stem, told.source
+        >>> column = parse_topic("/forward_position_controller/commands/data[2]")
+        >>> column.kind, column.stem, column.source
         ('command', '2', '/forward_position_controller/commands')
-        >>> told = parse_topic("/joint_states/elbow/effort")
-        >>> told.kind, told.stem, told.source
+        >>> column = parse_topic("/joint_states/elbow/effort")
+        >>> column.kind, column.stem, column.source
         ('torque', 'elbow', '/joint_states')
     """
     parts = [part for part in header.split("/") if part]
     if len(parts) < 2:
         return None
     for parse in (_controller, _controller_state, _joint_states, _indexed_field):
-        told = parse(parts)
-        if told is not None:
-            kind, stem, topic = told
+        parsed = parse(parts)
+        if parsed is not None:
+            kind, stem, topic = parsed
             stem = header if kind == "extra" else stem
             return Column(kind, stem, header, source="/" + "/".join(topic))
     return None

@@ -56,14 +56,14 @@ class FlowModel(Protocol):
             x: noisy actions with padded numbers, shape (B, H, width).
             time: 1 is noise, 0 is action, shape (B,).
         """
-        with captured_input(self.model.action_out_proj) as seen:
+        with captured_input(self.model.action_out_proj) as captured:
             velocity = self.model.denoise_step(
                 prefix_pad_masks=prefix.mask,
                 past_key_values=prefix.cache(),
                 x_t=x,
                 timestep=time,
             )
-        return velocity, seen[0]
+        return velocity, captured[0]
 
     def prefix_modules(self) -> list[nn.Module]:
         """Return what ``prefix`` passes through."""
@@ -99,15 +99,15 @@ def captured_input(module: nn.Module) -> Iterator[list[torch.Tensor]]:
 
     Example:
         >>> layer = nn.Linear(2, 1)
-        >>> with captured_input(layer) as seen:
+        >>> with captured_input(layer) as captured:
         ...     out = layer(torch.ones(3, 2))
-        >>> seen[0].shape
+        >>> captured[0].shape
         torch.Size([3, 2])
     """
-    seen: list[torch.Tensor] = []
-    handle = module.register_forward_pre_hook(lambda _, given: seen.append(given[0]))
+    captured: list[torch.Tensor] = []
+    handle = module.register_forward_pre_hook(lambda _, x: captured.append(x[0]))
     try:
-        yield seen
+        yield captured
     finally:
         handle.remove()
 

@@ -156,11 +156,11 @@ class LeRobotPolicy(TensorDictModuleBase):
         self.dist_sample_keys: list[Any] = [SAMPLE]
         self.log_prob_keys: list[Any] = [LOG_PROB]
         extra = [DENOISE_STEP] if noisy_steps == "one" else []
-        seen = PREFIX_KEYS if self.keep_prefix else self.in_keys
+        read = PREFIX_KEYS if self.keep_prefix else self.in_keys
         #: What a rollout has to keep to recompute log-probabilities.
-        self.replay_keys: list[Any] = [SAMPLE, *extra, *seen]
-        told = PREFIX_KEYS if self.keep_prefix else [SUMMARY]
-        self.out_keys = [SAMPLE, LOG_PROB, CHUNK, ACTION, *extra, *told]
+        self.replay_keys: list[Any] = [SAMPLE, *extra, *read]
+        written = PREFIX_KEYS if self.keep_prefix else [SUMMARY]
+        self.out_keys = [SAMPLE, LOG_PROB, CHUNK, ACTION, *extra, *written]
 
     @property
     def trains_prefix(self) -> bool:

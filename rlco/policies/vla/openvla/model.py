@@ -65,11 +65,11 @@ class OpenVLA(nn.Module):
         self.dinov2.layernorm = nn.Identity()
         self.siglip.vision_model.post_layernorm = nn.Identity()
         text = LlamaConfig(**config.text)
-        seen = config.dinov2["hidden_size"] + config.siglip["hidden_size"]
+        patches = config.dinov2["hidden_size"] + config.siglip["hidden_size"]
         self.projector = nn.Sequential(
-            nn.Linear(seen, 4 * seen),
+            nn.Linear(patches, 4 * patches),
             nn.GELU(),
-            nn.Linear(4 * seen, text.hidden_size),
+            nn.Linear(4 * patches, text.hidden_size),
             nn.GELU(),
             nn.Linear(text.hidden_size, text.hidden_size),
         )
@@ -118,10 +118,10 @@ class OpenVLA(nn.Module):
             tokens: the first, then padding, then the text, shape (B, L).
             mask: which of these are not padding, bool, shape (B, L).
         """
-        seen = self.see(images)
+        patches = self.see(images)
         words = self.language_model.get_input_embeddings()(tokens)
-        embedded = torch.cat([words[:, :1], seen, words[:, 1:]], 1)
-        whole = torch.ones(seen.shape[:2], dtype=torch.bool, device=mask.device)
+        embedded = torch.cat([words[:, :1], patches, words[:, 1:]], 1)
+        whole = torch.ones(patches.shape[:2], dtype=torch.bool, device=mask.device)
         return embedded, torch.cat([mask[:, :1], whole, mask[:, 1:]], 1)
 
     def read(
