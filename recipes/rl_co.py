@@ -112,11 +112,21 @@ def train(
         run.log_metrics(0, {"frames": 0} | before)
         if best is not None:
             best.offer(0, before)
+
+    def evaluated(iteration: int) -> bool:
+        return iteration % config.eval_every == 0 or iteration == config.iterations
+
     for iteration, row in co_train(
-        config, run, collector, learner, check_first=check_signal, best=best
+        config,
+        run,
+        collector,
+        learner,
+        check_first=check_signal,
+        best=best,
+        measure=evaluated,
     ):
         row |= held_out_error(policy, demos.heldout)
-        if iteration % config.eval_every == 0 or iteration == config.iterations:
+        if evaluated(iteration):
             row |= success_rates(policy, envs, episodes, iteration)
     extra = {"real_coeff": config.real_coeff, **collector.env.task.description()}
     collector.close()

@@ -131,9 +131,14 @@ class CoTrainingLoss(ActorPair):
         Raises:
             DataError: a root is missing, or the advantages of a PPO loss.
         """
-        return {root: self._terms_of(root, tensordict) for root in self._active}
+        return {root: self.terms_of(root, tensordict) for root in self._active}
 
-    def _terms_of(self, root: str, tensordict: TensorDictBase) -> dict[str, Any]:
+    def terms_of(self, root: str, tensordict: TensorDictBase) -> dict[str, Any]:
+        """Return the terms of one root ("sim" or "real"), the other may be missing.
+
+        Raises:
+            DataError: the root is missing, or the advantages of a PPO loss.
+        """
         loss, coefficient = self._loss_on(root), getattr(self, f"{root}_coeff")
         suffix = "_real" if root == REAL else ""
         named: dict[str, Any] = {}

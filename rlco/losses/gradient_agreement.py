@@ -52,10 +52,10 @@ def gradient_agreement(loss: CoTrainingLoss, batch: TensorDictBase) -> dict[str,
         -1.0
     """
     parameters = loss.shared_parameters()
-    with _untouched(loss), torch.enable_grad():
+    with untouched(loss), torch.enable_grad():
         terms = loss.terms(batch)
-        sim = _gradient(terms.get(SIM, {}), parameters)
-        real = _gradient(terms.get(REAL, {}), parameters)
+        sim = gradient_of(terms.get(SIM, {}), parameters)
+        real = gradient_of(terms.get(REAL, {}), parameters)
     norm_sim, norm_real = _dot(sim, sim) ** 0.5, _dot(real, real) ** 0.5
     dot = _dot(sim, real)
     product = norm_sim * norm_real
@@ -67,7 +67,7 @@ def gradient_agreement(loss: CoTrainingLoss, batch: TensorDictBase) -> dict[str,
     }
 
 
-def _gradient(
+def gradient_of(
     named: dict[str, Any], parameters: list[nn.Parameter]
 ) -> Sequence[torch.Tensor]:
     """Return the gradient of the summed terms, a tensor for each parameter."""
@@ -88,7 +88,7 @@ def _dot(one: Sequence[torch.Tensor], other: Sequence[torch.Tensor]) -> float:
 
 
 @contextmanager
-def _untouched(loss: CoTrainingLoss) -> Iterator[None]:
+def untouched(loss: CoTrainingLoss) -> Iterator[None]:
     """Undo what a forward pass does to buffers and random number generators.
 
     KLPENPPOLoss adapts its coefficient and normalisation layers their statistics.

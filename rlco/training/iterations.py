@@ -40,6 +40,7 @@ def co_train(
     *,
     check_first: Callable[[TensorDictBase], None],
     best: BestPolicy | None = None,
+    measure: Callable[[int], bool] = lambda iteration: False,
 ) -> Iterator[tuple[int, Row]]:
     """Collect and learn, and yield the row of metrics.csv of each iteration.
 
@@ -52,6 +53,7 @@ def co_train(
         collector: Plays the rollouts.
         learner: Learns from them.
         check_first: Checks the first rollout before anything is learned from it.
+        measure: In which iterations the anchor is compared with PPO's mean gradient.
         best: Is offered each row and lies in each checkpoint, where there is one.
 
     Yields:
@@ -71,7 +73,12 @@ def co_train(
             check_first(rollout)
         row = {"frames": iteration * collector.frames, **_played(rollout)}
         # Every minibatch of every epoch draws its real rows anew.
-        row |= learner.update(rollout, options.epochs, train_policy=iteration > alone)
+        row |= learner.update(
+            rollout,
+            options.epochs,
+            train_policy=iteration > alone,
+            measure=measure(iteration),
+        )
         learned = time.perf_counter()
         yield iteration, row
         run.log_metrics(iteration, row)

@@ -30,10 +30,17 @@ class LargeLearner(Learner):
     _waiting: list[dict[str, Tensor]] = field(default_factory=list, init=False)
 
     def update(
-        self, rollout: TensorDictBase, epochs: int, *, train_policy: bool = True
+        self,
+        rollout: TensorDictBase,
+        epochs: int,
+        *,
+        train_policy: bool = True,
+        measure: bool = False,
     ) -> dict[str, float]:
         """Pass over a rollout, see `rlco.training.Learner.update`."""
-        row = super().update(rollout, epochs, train_policy=train_policy)
+        row = super().update(
+            rollout, epochs, train_policy=train_policy, measure=measure
+        )
         if self._waiting:
             self._follow(train_policy=train_policy)
             self._check_weights()

@@ -15,10 +15,15 @@ from rlco import keys
 from rlco.finite import check_step, check_weights, gradient_norm
 from rlco.losses.co_training import CoTrainingLoss
 from rlco.losses.gradient_agreement import gradient_agreement
+from rlco.losses.gradient_signal import LEAST_GROUPS, gradient_signal
 from rlco.losses.log_probs import log_probs
 
 #: Clip of the critic's gradient norm: it cuts off outliers and nothing else.
 CRITIC_GRAD_NORM = 10.0
+#: Groups of episodes whose gradients tell signal from noise.
+GROUPS = 8
+#: Demonstrated rows, at most, whose gradient is the anchor's.
+ANCHOR_ROWS = 4096
 
 
 @dataclass
@@ -47,7 +52,12 @@ class Learner:
     _updates: int = field(default=0, init=False)
 
     def update(
-        self, rollout: TensorDictBase, epochs: int, *, train_policy: bool = True
+        self,
+        rollout: TensorDictBase,
+        epochs: int,
+        *,
+        train_policy: bool = True,
+        measure: bool = False,
     ) -> dict[str, float]:
         """Pass over a rollout, each minibatch with freshly drawn real rows.
 
@@ -55,9 +65,11 @@ class Learner:
         the first ratio is 1.
 
         Args:
-            rollout: Decisions with advantages, any batch shape.
+            rollout: Decisions with advantages, shape (episodes, decisions).
             epochs: Passes.
             train_policy: Whether the policy moves, or the critic alone.
+            measure: Whether the anchor is compared with PPO's mean gradient first,
+                which takes about as long as one pass.
 
         Returns:
             Means over the minibatches of what the loss reports; ``log_prob_gap``, how
@@ -70,6 +82,8 @@ class Learner:
                 step follows such a gradient.
         """
         row = self._store(rollout)
+        if measure and self.buffer.real is not None:
+            row |= self._signal(rollout)
         self._updates = 0
         sums: dict[str, float] = {}
         minibatches = 0
@@ -99,6 +113,21 @@ class Learner:
         self.buffer.empty()
         self.buffer.extend(flat)
         return {"log_prob_gap": float(gap)}
+
+    def _signal(self, rollout: TensorDictBase) -> dict[str, float]:
+        """Compare the anchor with PPO's mean gradient, before the policy moves."""
+        rows = self.buffer.sim[:].reshape(rollout.shape)
+        groups = rows.split(-(-len(rows) // GROUPS))
+        if len(groups) < LEAST_GROUPS:
+            return {}
+        demonstrated = self.buffer.real[:]
+        step = -(-len(demonstrated) // ANCHOR_ROWS)
+        return gradient_signal(
+            self.loss,
+            [group.reshape(-1) for group in groups],
+            demonstrated[::step],
+            rows=self.minibatch,
+        )
 
     def _step(self, out: TensorDictBase, *, train_policy: bool) -> None:
         """Follow the gradient of a loss's terms once."""

@@ -77,6 +77,19 @@ def test_the_first_ratio_is_one_however_wrong_the_rollouts_log_probability() -> 
     assert {"grad_norm_ratio", "loss_bc_real", "loss_critic"} <= told.keys()
 
 
+def test_measuring_the_anchor_changes_no_weight() -> None:
+    found = []
+    for measure in (False, True):
+        learner = make_learner()
+        row = learner.update(rollout(learner), epochs=1, measure=measure)
+        found.append((weights(learner.policy), row))
+    (plain, before), (measured, after) = found
+    assert torch.equal(plain, measured)
+    names = {"anchor_strength", "anchor_strength_low", "anchor_cosine_high"}
+    assert not names & before.keys()
+    assert names <= after.keys()
+
+
 def test_the_critic_can_be_trained_alone() -> None:
     learner = make_learner()
     before = weights(learner.policy), weights(learner.critic)
