@@ -62,6 +62,7 @@ def train(
     """
     from rlco.collectors import check_signal, make_collector
     from rlco.evaluation import (
+        HeldOutDrift,
         evaluation_envs,
         held_out_error,
         result_rows,
@@ -106,9 +107,10 @@ def train(
         image_size=policy.image_size,
     )
     best = best_policy(config, policy)
+    drift = HeldOutDrift(policy, demos.heldout)  # a checkpoint is loaded later
     if run.step is None:
         before = success_rates(policy, envs, episodes, 0)
-        before |= held_out_error(policy, demos.heldout)
+        before |= held_out_error(policy, demos.heldout) | drift.measure(policy)
         run.log_metrics(0, {"frames": 0} | before)
         if best is not None:
             best.offer(0, before)
@@ -125,7 +127,7 @@ def train(
         best=best,
         measure=evaluated,
     ):
-        row |= held_out_error(policy, demos.heldout)
+        row |= held_out_error(policy, demos.heldout) | drift.measure(policy)
         if evaluated(iteration):
             row |= success_rates(policy, envs, episodes, iteration)
     extra = {"real_coeff": config.real_coeff, **collector.env.task.description()}

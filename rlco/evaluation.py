@@ -6,7 +6,7 @@ import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 import torch
@@ -206,6 +206,50 @@ def held_out_error(policy: Any, demos: DemoReplayBuffer | None) -> dict[str, flo
     if demos is None:
         return {}
     return {"imitation_error_heldout": imitation_error(policy, demos.frames())}
+
+
+class Demonstrated(Protocol):
+    """Demonstrations, such as those of `rlco.data.load_demos`."""
+
+    def frames(self) -> TensorDictBase:
+        """Return every frame in order, with chunks and which steps pad them."""
+
+
+class HeldOutDrift:
+    """How far a policy's actions on held-out demonstrations have moved since it began.
+
+    Unlike the imitation error, which rises with success, too, it is 0 at the start and
+    grows with any change of what the policy does where the robot was shown what to do.
+
+    Args:
+        policy: A policy of this package, as it is before Stage II.
+        demos: Held-out demonstrations; None where there are none.
+    """
+
+    def __init__(self, policy: Any, demos: Demonstrated | None) -> None:
+        self._demos = demos
+        self._before = None if demos is None else _likely_actions(policy, demos)
+
+    def measure(self, policy: Any) -> dict[str, float]:
+        """Return ``drift_heldout`` [RMS, in units of the policy's action range].
+
+        1 is half of what its normalisation maps to [-1, 1]. Each action is the most
+        likely one; steps beyond an episode's end are left out.
+        """
+        if self._demos is None or self._before is None:
+            return {}
+        moved = _likely_actions(policy, self._demos) - self._before
+        real = ~self._demos.frames()[keys.IS_PAD]
+        return {"drift_heldout": float(moved[real].pow(2).mean().sqrt())}
+
+
+def _likely_actions(policy: Any, demos: Demonstrated) -> torch.Tensor:
+    """Return the most likely chunk at each frame, normalised, (frames, chunk, A)."""
+    frames = demos.frames().select(*policy.in_keys)
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        parts = [policy(part.clone())[keys.CHUNK] for part in frames.split(1024)]
+    actions: torch.Tensor = policy.action_normalizer(torch.cat(parts))
+    return actions
 
 
 def imitation_error(policy: Any, frames: TensorDictBase) -> float:

@@ -46,14 +46,16 @@ READING = {
         "fall."
     ),
     "Does the anchor pull?": (
-        "grad_norm_ratio is the anchor's gradient norm over PPO's. Far below 0.1 the "
-        "anchor hardly pulls, and the run is nearly RL alone; far above 1 it holds the "
-        "policy where Stage I left it; real_coeff scales it. A cosine below 0 means "
-        "that the two terms pull against each other."
+        "At 1 the anchor pulls as hard as reinforcement learning does on average over "
+        "a rollout; a line that reaches the top means that learning cannot be "
+        "distinguished from noise there. If success in the robot's domain falls, raise "
+        "real_coeff; if success in the simulator stands still and the anchor is above "
+        "1, lower it. A cosine surely below 0 means that the two pull against each "
+        "other."
     ),
     "Forgetting the demonstrations": (
-        "A rising line means that reinforcement learning moves the policy away from "
-        "the demonstrations."
+        "A large drift with falling success means that reinforcement learning forgets "
+        "the robot: raise real_coeff, or stop earlier. A drift alone is no harm."
     ),
     "One episode": "Time runs from left to right.",
 }

@@ -130,61 +130,74 @@ def learning_curves(curves: Sequence[Curve]) -> Figure:
     return figure
 
 
-def gradient_terms(
+def anchor_strength(
     rollouts: Sequence[float],
-    sim_norm: Sequence[float],
-    real_norm: Sequence[float],
-    cosine: Sequence[float],
+    strength: Sequence[Sequence[float]],
+    cosine: Sequence[Sequence[float]],
 ) -> Figure:
-    """Draw the two terms' gradients on the shared parameters over the rollouts.
+    """Draw the anchor against PPO's mean gradient over the rollouts, with intervals.
 
     Args:
         rollouts: Rollouts so far. Shape (K,).
-        sim_norm: Norm of the simulator term's gradient, weighted. Shape (K,).
-        real_norm: Norm of the real-data term's gradient, weighted. Shape (K,).
-        cosine: Cosine between the two, in [-1, 1]. Shape (K,).
+        strength: The anchor's gradient norm over that of PPO's mean: the estimate, and
+            the low and high ends of its interval. Shape (3, K); NaN where PPO's mean
+            cannot be distinguished from 0, then the high end is infinite.
+        cosine: Of the two, in the same form.
     """
-    figure, panels = new_figure("Does the anchor pull?", 3, height=5.6, stacked=True)
-    norms, ratio, angle = panels
-    norms.plot(rollouts, sim_norm, color="#0072b2", label="simulator term")
-    norms.plot(rollouts, real_norm, color="#d55e00", label="real-data term")
-    log_axis(norms, "gradient norm")
-    legend(figure, [norms])
-    quotient = np.divide(real_norm, np.maximum(sim_norm, 1e-12))
-    ratio.plot(rollouts, quotient, color="#009e73")
-    ratio.axhline(1, color=QUIET, linewidth=0.8, linestyle="--")
-    log_axis(ratio, "real / sim")
-    angle.plot(rollouts, cosine, color="#cc79a7")
-    angle.axhline(0, color=QUIET, linewidth=0.8, linestyle="--")
+    figure, panels = new_figure("Does the anchor pull?", 2, height=4.6, stacked=True)
+    size, angle = panels
+    for axes, (middle, low, high), colour, line in (
+        (size, np.array(strength), "#009e73", 1.0),
+        (angle, np.array(cosine), "#cc79a7", 0.0),
+    ):
+        axes.axhline(line, color=QUIET, linewidth=0.8, linestyle="--")
+        axes.plot(rollouts, middle, "o", color=colour, markersize=4)
+        known = np.isfinite(low)
+        top = np.where(np.isfinite(high), high, 1e3)
+        where = np.array(rollouts)[known]
+        axes.vlines(where, low[known], top[known], color=colour, linewidth=1.5)
+    log_axis(size, "anchor / RL's mean")
+    size.set_ylim(1e-2, 1e2)
     angle.set_ylim(-1.05, 1.05)
     angle.set_ylabel("cosine")
     count_axis(angle, "rollouts (each measured before its first update)")
     caption(
         figure,
-        "Gradients of the two terms on the shared actor, each already weighted.",
+        "Gradients on the shared actor, the anchor's weighted, with intervals of 90 %.",
     )
     return figure
 
 
-def imitation_error(
-    lines: Mapping[str, tuple[Sequence[float], Sequence[float]]],
+def forgetting(
+    drift: Mapping[str, tuple[Sequence[float], Sequence[float]]],
+    success: Mapping[str, tuple[Sequence[float], Sequence[float]]],
+    domain: str,
 ) -> Figure:
-    """Draw the imitation loss on held-out demonstrations during RL.
+    """Draw how far actions on held-out demonstrations drift, beside success.
 
     Args:
-        lines: By method, environment steps and loss. Shape (K,) each.
+        drift: By method, environment steps and drift [RMS of normalised actions].
+            Shape (K,) each.
+        success: By method, environment steps and success in `domain`, in [0, 1].
+        domain: The one that stands for the robot.
     """
-    figure, (axes,) = new_figure("Forgetting the demonstrations", 1, height=3.6)
-    for method, (colour, marker) in styles(lines).items():
-        axes.plot(
-            *lines[method], color=colour, marker=marker, markersize=4, label=method
-        )
-    axes.set_ylabel("imitation loss, held out")
-    count_axis(axes, "environment steps")
-    legend(figure, [axes])
+    figure, panels = new_figure("Forgetting the demonstrations", 2, height=5.0)
+    for axes, lines in zip(panels, (drift, success), strict=True):
+        for method, (colour, marker) in styles(lines).items():
+            axes.plot(
+                *lines[method], color=colour, marker=marker, markersize=4, label=method
+            )
+        count_axis(axes, "environment steps")
+    panels[0].set_ylabel("drift of actions, held out")
+    panels[1].set_ylabel("success")
+    panels[1].set_title(domain_label(domain), fontsize=9)
+    panels[1].set_ylim(-0.02, 1.02)
+    legend(figure, [panels[0]])
     caption(
         figure,
-        "Imitation loss on demonstrations held out of training.",
+        "Drift of the most likely actions on demonstrations held out of training, in "
+        "units of the action's range, and success in the domain that stands for the "
+        "robot.",
     )
     return figure
 

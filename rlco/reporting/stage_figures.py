@@ -9,6 +9,12 @@ from rlco.reporting import plots
 from rlco.runs.metrics import read_metrics
 
 Rows = list[dict[str, float]]
+#: What metrics.csv has of the anchor: estimates and the ends of their intervals.
+SIGNAL = tuple(
+    f"{name}{end}"
+    for name in ("anchor_strength", "anchor_cosine")
+    for end in ("", "_low", "_high")
+)
 
 
 def draw_stages(
@@ -18,7 +24,7 @@ def draw_stages(
 
     Args:
         runs: The run directory of each method.
-        domains: The domains of the evaluations.
+        domains: The domains of the evaluations; the last stands for the robot.
         plots_folder: Where ``curves.png``, ``forgetting.png`` and ``gradients.png``
             are written; the last is of the last method with an anchor.
         episodes: Number per evaluation.
@@ -29,20 +35,27 @@ def draw_stages(
         for method, table in tables.items()
         for domain in domains
     ]
-    errors = {
-        method: _columns(table, ("frames", "imitation_error_heldout"))
-        for method, table in tables.items()
-    }
     if curves:
         plots.save_figure(plots.learning_curves(curves), plots_folder / "curves.png")
-        figure = plots.imitation_error({k: (v[0], v[1]) for k, v in errors.items()})
+    drift = {m: _columns(t, ("frames", "drift_heldout")) for m, t in tables.items()}
+    if any(frames for frames, _ in drift.values()):
+        robot = domains[-1]
+        success = {
+            m: _columns(t, ("frames", f"success_{robot}")) for m, t in tables.items()
+        }
+        figure = plots.forgetting(_pairs(drift), _pairs(success), robot)
         plots.save_figure(figure, plots_folder / "forgetting.png")
-    names = ("step", "grad_norm_sim", "grad_norm_real", "grad_cosine")
     for table in tables.values():
-        steps, *terms = _columns(table, names)
+        steps, *columns = _columns(table, ("step", *SIGNAL))
         if steps:
-            figure = plots.gradient_terms(steps, *terms)
+            figure = plots.anchor_strength(steps, columns[:3], columns[3:])
             plots.save_figure(figure, plots_folder / "gradients.png")
+
+
+def _pairs(
+    columns: dict[str, list[list[float]]],
+) -> dict[str, tuple[list[float], list[float]]]:
+    return {method: (x, y) for method, (x, y) in columns.items() if x}
 
 
 def _curve(method: str, domain: str, table: Rows, episodes: int) -> plots.Curve:

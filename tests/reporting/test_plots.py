@@ -12,9 +12,9 @@ from PIL import Image
 from rlco.reporting.plot_style import METHOD_STYLES, READING, styles
 from rlco.reporting.plots import (
     Curve,
+    anchor_strength,
     episode_strip,
-    gradient_terms,
-    imitation_error,
+    forgetting,
     learning_curves,
     save_figure,
     success_bars,
@@ -110,10 +110,27 @@ def test_curve_with_other_frames_than_rates_is_refused() -> None:
         learning_curves([curve("rl_co", "sim", [0.2, 0.5])])
 
 
-def test_gradient_ratio_is_real_over_sim() -> None:
-    figure = gradient_terms([0, 1], [2.0, 4.0], [1.0, 8.0], [0.5, -0.5])
-    ratio = figure.axes[1].lines[0].get_ydata()
-    assert list(ratio) == [0.5, 2.0]
+def test_an_anchor_that_is_lost_in_noise_reaches_the_top() -> None:
+    nan, inf = float("nan"), float("inf")
+    strength = [[0.5, nan], [0.4, 0.3], [0.7, inf]]
+    cosine = [[0.1, nan], [0.0, nan], [0.2, nan]]
+    size, angle = anchor_strength([10, 20], strength, cosine).axes
+    (first, second) = size.collections[0].get_segments()
+    assert [tuple(end) for end in first] == [(10, 0.4), (10, 0.7)]
+    assert second[1][1] > size.get_ylim()[1]
+    # What is not known is not drawn.
+    assert len(angle.collections[0].get_segments()) == 1
+
+
+def test_forgetting_is_shown_beside_success_in_the_robots_domain() -> None:
+    steps = [0.0, 100.0]
+    figure = forgetting(
+        {"rl_only": (steps, [0.0, 0.3])}, {"rl_only": (steps, [0.8, 0.4])}, "stand_in"
+    )
+    drift, success = figure.axes
+    assert list(drift.lines[0].get_ydata()) == [0.0, 0.3]
+    assert list(success.lines[0].get_ydata()) == [0.8, 0.4]
+    assert "(a second simulator, not a robot)" in texts(figure)
 
 
 def test_no_figure_lets_a_reader_think_that_a_robot_moved() -> None:
@@ -142,13 +159,13 @@ def test_methods_look_different() -> None:
 def test_saved_figure_carries_title_and_how_to_read_it(tmp_path: Path) -> None:
     frames = [0.0, 100.0]
     save_figure(
-        imitation_error({"rl_co": (frames, [0.1, 0.2])}), tmp_path / "new" / "a.png"
+        forgetting({"rl_co": (frames, [0, 0.2])}, {}, "sim"), tmp_path / "new" / "a.png"
     )
     with Image.open(tmp_path / "new" / "a.png") as image:
         assert image.width == 1440
         assert image.text["Title"] == "Forgetting the demonstrations"
         assert image.text["Comment"] == READING["Forgetting the demonstrations"]
-        assert image.text["Description"].startswith("Imitation loss on demonstrations")
+        assert image.text["Description"].startswith("Drift of the most likely actions")
 
 
 def test_every_figure_of_rlco_says_how_to_read_it() -> None:
@@ -156,8 +173,8 @@ def test_every_figure_of_rlco_says_how_to_read_it() -> None:
     figures = (
         success_bars([row("sft", "sim", 3)]),
         learning_curves([curve("sft", "sim", [0.1, 0.2, 0.3])]),
-        gradient_terms([0, 1], [1, 1], [1, 1], [0, 0]),
-        imitation_error({"sft": ([0, 1], [1, 1])}),
+        anchor_strength([0, 1], [[1, 1]] * 3, [[0, 0]] * 3),
+        forgetting({"sft": ([0, 1], [1, 1])}, {"sft": ([0, 1], [1, 1])}, "sim"),
         episode_strip([frame], [0.0], "sim"),
     )
     assert [figure.get_suptitle() for figure in figures] == list(READING)
