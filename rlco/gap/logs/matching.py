@@ -212,6 +212,8 @@ def _notes(
         counted = [b for a, b in found.items() if a.isdecimal()]
         if counted:
             notes.append(f"The log counts its {what}, read in order: {few(counted)}.")
+    if model.task is not None and not joints:
+        return notes  # a log of the task's tool and objects
     unmeasured = [name for name in model.joints if name not in joints.values()]
     if unmeasured and table.of_kind("position"):
         notes.append(f"The log has no positions of {few(unmeasured)}.")

@@ -181,7 +181,7 @@ def trace_figure(stretch: Stretch, heading: str, nominal: str = AS_IS) -> Figure
         axes.yaxis.set_major_locator(MaxNLocator(5))
         axes.margins(x=0)
     legend(figure, [above])
-    caption(figure, f"{stretch.channel} in {stretch.recording}.")
+    caption(figure, f"{stretch.channel}, recording {stretch.recording}.")
     return figure
 
 

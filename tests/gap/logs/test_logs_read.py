@@ -219,6 +219,8 @@ def test_a_task_keeps_its_own_state_and_actions(tmp_path: Path) -> None:
     log = read_log(folder, load_model("robosuite:push_cube"))
     assert log.actuators == ACTION_NAMES
     assert log.joints == ()
+    # A task's log has a tool and objects: joints that it lacks are no news.
+    assert not [note for note in log.notes if "joint" in note]
     part = log.recordings[0]
     np.testing.assert_allclose(part.command, action, rtol=1e-6)
     np.testing.assert_allclose(part.extra["tool.y"], state[:, 1], rtol=1e-6)
