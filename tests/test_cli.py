@@ -13,6 +13,8 @@ import pytest
 
 from rlco import cli
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[1]
 EXAMPLE = ROOT / "docs" / "example"
 
@@ -108,14 +110,12 @@ def run(installed: Path, folder: Path, *argv: str) -> str:
     return done.stdout + done.stderr
 
 
-@pytest.mark.slow
 def test_the_wheel_says_where_it_is(installed: Path, tmp_path: Path) -> None:
     said = run(installed, tmp_path, "info")
     assert f"in {installed.parent}" in said.splitlines()[0]
     assert run(installed, tmp_path, "--version").strip() == rlco_version()
 
 
-@pytest.mark.slow
 def test_the_wheel_finds_what_the_example_lacks(
     installed: Path, tmp_path: Path
 ) -> None:
@@ -130,7 +130,6 @@ def test_the_wheel_finds_what_the_example_lacks(
     assert found["payload"]["x"]["value"] == pytest.approx(0.3, abs=0.01)
 
 
-@pytest.mark.slow
 def test_the_wheel_runs_the_quickstart(installed: Path, tmp_path: Path) -> None:
     said = run(installed, tmp_path, "quickstart", "config=debug", "out=run")
     assert "report: run/report.html" in said

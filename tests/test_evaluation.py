@@ -20,6 +20,8 @@ from rlco.evaluation import (
 )
 from rlco.policies import GaussianPolicy
 
+pytestmark = pytest.mark.slow
+
 
 class Expert:
     """The scripted expert as a policy, which also notes where episodes started."""

@@ -28,6 +28,7 @@ WITHOUT_TORCH = (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("module", WITHOUT_TORCH)
 def test_module_is_imported_without_torch(module: str) -> None:
     # All of a package, not only what its __init__ names.

@@ -125,6 +125,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., int]]:
         stdin.close()
 
 
+@pytest.mark.slow
 def test_killed_and_resumed_equals_never_killed(
     start: Callable[..., int], tmp_path: Path
 ) -> None:

@@ -56,6 +56,7 @@ def test_a_plant_without_effects_is_plain_mujoco() -> None:
     np.testing.assert_allclose(told, expected, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", IN_LIBRARY)
 def test_plant_and_library_agree_on_each_effect(name: str, tmp_path: Path) -> None:
     # Two implementations of one physical definition, which share no code.

@@ -263,6 +263,7 @@ def stage_two(one: Path, out: Path, *more: str) -> None:
     start("stage=two", *TINY, *sizes, policy, f"out={out}", *more)
 
 
+@pytest.mark.slow
 def test_stage_one_reports_three_methods_in_two_domains(stage_one: Path) -> None:
     rows = json.loads((stage_one / "results.json").read_text())["rows"]
     assert [(row["method"], row["domain"]) for row in rows] == [
@@ -277,6 +278,7 @@ def test_stage_one_reports_three_methods_in_two_domains(stage_one: Path) -> None
         assert all(np.array(row["ever"]) >= np.array(row["outcomes"]))
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_and_a_resumed_run_too(
     stage_one: Path, tmp_path: Path
 ) -> None:
@@ -330,7 +332,11 @@ def test_the_version_of_its_code_covers_all_that_it_loads(
         *(f"policy={stage_one / 'stages/sft/policy'}", f"out={tmp_path / 'out'}"),
     ]
     done = subprocess.run(
-        [sys.executable, "-c", code, *given], capture_output=True, text=True, check=True
+        [sys.executable, "-c", code, *given],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=SCRIPT.parent,  # where Python looks for planar_push
     )
     loaded = {Path(path).resolve() for path in json.loads(done.stdout.splitlines()[-1])}
     assert SCRIPT.resolve() in loaded

@@ -10,6 +10,7 @@ import vla_step
 from vla_models import tiny_openvla
 
 
+@pytest.mark.slow
 def test_what_does_not_fit_says_so_and_the_next_line_follows(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

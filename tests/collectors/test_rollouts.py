@@ -143,6 +143,7 @@ def test_advantages_of_a_rollout_agree_with_a_recursion_and_are_normalised() -> 
     collector.close()
 
 
+@pytest.mark.slow
 def test_iteration_k_plays_the_kth_episodes_whatever_was_played_before() -> None:
     collector, _, _ = make_collector()
 
@@ -209,6 +210,7 @@ def broken_collector(fault: str, at: int) -> RolloutCollector:
     return collector
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("fault", "at", "words"),
     [
@@ -323,6 +325,7 @@ def test_an_environment_of_another_kind_is_refused() -> None:
         RolloutCollector(env, GaussianPolicy(7, chunk=1))
 
 
+@pytest.mark.slow
 def test_transforms_of_ones_own_on_such_an_environment_are_taken() -> None:
     env = make_env("push_cube", num_envs=2, chunk=4, horizon=8)
     counted = TransformedEnv(env, StepCounter())

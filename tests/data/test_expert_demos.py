@@ -17,6 +17,8 @@ from rlco.physics.spec.task import Array, SceneState
 from rlco.physics.tasks import push_cube
 from rlco.physics.tasks.demonstrate import ExpertError, demonstrate
 
+pytestmark = pytest.mark.slow
+
 
 def test_a_recording_that_was_cut_off_is_made_anew(tmp_path: Path) -> None:
     part = tmp_path / "demos.part"

@@ -15,6 +15,8 @@ from rlco.physics.spec.domain import make_domain
 from rlco.physics.tasks.demonstrate import demonstrate
 from rlco.physics.tasks.make_task import make_task
 
+pytestmark = pytest.mark.slow
+
 TASK, SIM = make_task("push_cube"), make_domain("sim")
 SIZE = (64, 64)
 

@@ -22,6 +22,8 @@ from rlco import cli
 from rlco.physics.effects import EFFECTS
 from rlco.policies.tiny.smolvla import write_tiny_smolvla
 
+pytestmark = pytest.mark.slow
+
 # Overrides the page's numbers: whether it runs, not what it learns.
 LESS: dict[str, dict[str, object]] = {
     "record_demos": {"episodes": 2},

@@ -10,6 +10,8 @@ from small_problems import write_case
 
 from rlco.physics.effects import AppliedEffect
 
+pytestmark = pytest.mark.slow
+
 
 def test_the_programs_of_the_page_name_what_was_hidden(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -14,6 +14,7 @@ from rlco.errors import UnknownNameError
 from rlco.physics.spec.domain import SIM, STAND_IN, Domain
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("domain", [SIM, STAND_IN], ids=lambda d: d.name)
 def test_its_expert_solves_episodes(domain: Domain) -> None:
     assert solved(TASK, domain, 40).mean() >= 0.95
@@ -37,6 +38,7 @@ def test_a_variation_that_it_lacks_is_refused() -> None:
         make_env(TASK, variation="camera")
 
 
+@pytest.mark.slow
 def test_the_page_runs_as_copied() -> None:
     made = run_python("own_task.md")
     assert made["rollout"].batch_size == (2, 3)

@@ -41,6 +41,7 @@ def _code(cell: str) -> list[str]:
     return re.findall(r"`(.+?)`", cell)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("message", quoted())
 def test_a_quoted_message_is_one_that_is_raised(message: str) -> None:
     assert any(message in text for text in texts())

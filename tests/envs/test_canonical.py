@@ -181,6 +181,7 @@ def both_ways(**options: Any) -> tuple[TensorDictBase, TensorDictBase]:
     return direct, around
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("reward", ["shaped", "sparse"])
 @pytest.mark.parametrize("chunk", [1, 4])
 def test_by_way_of_gymnasium_the_same_comes_out(chunk: int, reward: str) -> None:
@@ -209,6 +210,7 @@ def test_by_way_of_gymnasium_the_last_chunk_ends_at_the_horizon() -> None:
     torch.testing.assert_close(around[keys.STATE], direct[keys.STATE], atol=0, rtol=0)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("rendering")
 def test_by_way_of_gymnasium_the_same_is_seen() -> None:
     direct, around = both_ways(chunk=2, image_size=(24, 32))
@@ -267,6 +269,7 @@ def test_torchrls_mujoco_tasks_step_as_they_do_by_themselves() -> None:
     assert out["truncated"].squeeze(-1).tolist() == [[False, False, False, True]] * 2
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("rendering")
 def test_torchrls_wrapper_for_libero_has_rlcos_entries() -> None:
     env = from_vla(partial(libero_lift, horizon=5), chunk=4)

@@ -84,6 +84,7 @@ def reported(**options: Any) -> np.ndarray:
     return np.stack(rows)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["native", "robosuite"])
 def test_make_env_in_a_file_is_sim_with_its_effects(
     tmp_path: Path, backend: Any
@@ -154,6 +155,7 @@ def test_an_evaluations_environment_takes_a_path(robot: Path) -> None:
     assert env.domain.name == "robot"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("make", [make_env, make_robosuite, TaskEnv])
 def test_effects_of_ones_own_come_with_their_code(
     tmp_path: Path, code: Path, make: Any
@@ -198,6 +200,7 @@ def test_robosuites_own_tasks_take_a_file_of_effects_alone(
             make_env("robosuite:Lift", domain=domain)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["native", "robosuite"])
 @pytest.mark.parametrize(
     ("wrong", "message"),
@@ -226,6 +229,7 @@ def test_what_a_task_cannot_have_is_refused_in_one_sentence(
         assert "\n" not in str(caught.value)
 
 
+@pytest.mark.slow
 def test_domains_are_checked_by_name_and_file(tmp_path: Path, robot: Path) -> None:
     found = check_domains("push_cube", ["stand_in", str(robot)])
     assert [domain.name for domain in found] == ["stand_in", "robot"]

@@ -24,6 +24,8 @@ from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.spec.domain import SIM, Domain
 from rlco.physics.spec.sensors import Sensors
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize(
     "name",

@@ -36,6 +36,8 @@ from rlco.physics.robosuite.tabletop import Tabletop
 from rlco.physics.robosuite.tasks import make_plain
 from rlco.physics.spec.domain import LOCKED, SIM, STAND_IN, Domain, with_effects
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("name", EFFECTS)
 def test_both_backends_apply_an_effect_alike(name: str) -> None:

@@ -24,6 +24,7 @@ from rlco.physics.tasks.make_task import make_task
 from rlco.physics.tasks.registration import gymnasium_id, register_tasks
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", TASK_NAMES)
 def test_every_task_passes_gymnasiums_own_check(task: str) -> None:
     env = gymnasium.make(gymnasium_id(task))
@@ -35,6 +36,7 @@ def test_every_task_passes_gymnasiums_own_check(task: str) -> None:
     assert all("infinity. This is probably too" in message for message in messages)
 
 
+@pytest.mark.slow
 def test_with_a_camera_it_passes_gymnasiums_own_check() -> None:
     env = make(
         obs_type="pixels_agent_pos", render_mode="rgb_array", image_size=(32, 40)
@@ -57,6 +59,7 @@ def test_registering_again_changes_nothing() -> None:
     assert dict(gymnasium.registry) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", ["native", "robosuite"])
 def test_episodes_are_those_of_the_torchrl_environment(backend: Any) -> None:
     options: dict[str, Any] = {"domain": "stand_in", "horizon": 5, "backend": backend}
@@ -186,6 +189,7 @@ class Expert(nn.Module):
         return torch.from_numpy(np.stack(rows)).float()
 
 
+@pytest.mark.slow
 def test_lerobots_own_rollout_reads_it() -> None:
     evaluation = pytest.importorskip("lerobot.scripts.lerobot_eval")
     from lerobot.processor import PolicyProcessorPipeline

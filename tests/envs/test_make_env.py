@@ -151,6 +151,7 @@ def test_set_seed_starts_that_seed_over() -> None:
     )
 
 
+@pytest.mark.slow
 def test_the_first_episodes_of_a_seed_do_not_depend_on_the_batch() -> None:
     def first_six(num_envs: int) -> tuple[torch.Tensor, list[int], list[str]]:
         env = make_env("push_cube", num_envs=num_envs, seed=11, domain="stand_in")
@@ -206,6 +207,7 @@ def test_a_partial_reset_leaves_the_others_alone(backend: Backend) -> None:
     assert after["truncated"].squeeze(-1).tolist() == [True, False, True]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("domain", ["sim", "stand_in", "locked"])
 def test_both_backends_report_the_same(domain: str) -> None:
     actions = random_actions(3, 2, 4, seed=3)
@@ -251,6 +253,7 @@ def image_env(**options: Any) -> TabletopEnv:
         pytest.skip(f"no OpenGL library: {error}")
 
 
+@pytest.mark.slow
 @BACKENDS
 def test_images_show_the_scene(backend: Backend) -> None:
     env = image_env(horizon=3, backend=backend)

@@ -190,6 +190,7 @@ def copies(env: Any) -> Any:
     return env.backend.data if hasattr(env, "backend") else env.stepper.data
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", [float("nan"), 1e12])
 @pytest.mark.parametrize(
     ("task", "backend"),

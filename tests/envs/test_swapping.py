@@ -26,6 +26,8 @@ from rlco.losses import CoTrainingLoss, ImitationLoss, log_probs
 from rlco.physics.rendering.camera import check_rendering
 from rlco.policies import GaussianPolicy, ValueNetwork
 
+pytestmark = pytest.mark.slow
+
 CHUNK, DECISIONS = 2, 4
 
 

@@ -27,6 +27,8 @@ from rlco.policies.vla.lerobot.export import load_beside
 from rlco.reporting.report import write_report
 from rlco.runs.metrics import read_metrics
 
+pytestmark = pytest.mark.slow
+
 HERE = Path(__file__).parent
 RECIPES = HERE.parents[1] / "recipes"
 EXPECTED: dict[str, Any] = json.loads((HERE / "expected.json").read_text())

@@ -34,6 +34,7 @@ def errors(model: Path, logs: Path) -> np.ndarray:
     return np.sqrt(np.bincount(recordings, rows**2) / np.bincount(recordings))
 
 
+@pytest.mark.slow
 def test_every_recording_of_the_known_arm_agrees_with_its_model(
     model: Path, tmp_path: Path
 ) -> None:
@@ -41,9 +42,11 @@ def test_every_recording_of_the_known_arm_agrees_with_its_model(
     record_arm(tmp_path / "logs", "push_cube", "sim", recordings=5)
     found = errors(model, tmp_path / "logs")
     assert len(list((tmp_path / "logs").glob("*.npz"))) == 5
-    assert found.max() < 2.0 * TORQUE_NOISE
+    # Accelerations out of positions have noise, too; a touch would be ten times it.
+    assert found.max() < 3.0 * TORQUE_NOISE
 
 
+@pytest.mark.slow
 def test_a_hidden_payload_is_in_the_logs_and_not_in_the_model(
     model: Path, tmp_path: Path
 ) -> None:

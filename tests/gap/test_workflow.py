@@ -32,6 +32,7 @@ def finding(case: tuple[Path, Path], said: list[tuple[str, float]]) -> Finding:
     return run_gap(*case, threads=1, progress=lambda *step: said.append(step))
 
 
+@pytest.mark.slow
 def test_a_program_gets_what_was_found(finding: Finding) -> None:
     assert finding.complete
     assert finding.verdict.verdict == "named"
@@ -82,6 +83,7 @@ def test_what_was_found_is_written_without_simulating_again(
     assert (tmp_path / "report.html").exists()
 
 
+@pytest.mark.slow
 def test_an_interrupted_search_is_returned_and_can_be_written(
     case: tuple[Path, Path], tmp_path: Path
 ) -> None:
@@ -100,6 +102,7 @@ def test_an_interrupted_search_is_returned_and_can_be_written(
     assert "The search was stopped early" in page.read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_an_interruption_after_the_search_keeps_its_verdict(
     case: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

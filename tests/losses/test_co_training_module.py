@@ -194,6 +194,7 @@ def test_what_a_ppo_trainer_asks_for() -> None:
     assert stage_one.critic_network is None
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("functional", [True, False])
 def test_compiles_as_one_graph_with_the_same_gradients(functional: bool) -> None:
     policy, loss, batch = make_loss(functional, functional)

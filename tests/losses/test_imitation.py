@@ -100,6 +100,7 @@ def test_reset_parameters(functional: bool) -> None:
     assert not torch.equal(policy.network.head.weight, before)
 
 
+@pytest.mark.slow
 def test_compiles_as_one_graph() -> None:
     policy, _ = make_networks()
     loss, td = ImitationLoss(policy), demonstrations(4)

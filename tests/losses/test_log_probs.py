@@ -36,6 +36,7 @@ KINDS: list[tuple[str, dict[str, Any]]] = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("precision", ["float32", "bfloat16", "autocast"])
 @pytest.mark.parametrize(("kind", "options"), KINDS)
 def test_first_ratio_is_one(precision: str, kind: str, options: dict[str, Any]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 import torch
 from tensordict import TensorDict, TensorDictBase
 from torchrl.objectives import ClipPPOLoss
@@ -63,6 +64,7 @@ def train(real_coeff: float) -> tuple[float, float, float]:
     return rewards[0], sum(rewards[-5:]) / 5, error
 
 
+@pytest.mark.slow
 def test_the_anchor_keeps_the_demonstrations_while_the_reward_rises() -> None:
     # The start, -(-.5 - .5)^2 - .2^2 = -1.04; the best with std .2 is -.04.
     start, free_end, free_error = train(real_coeff=0)

@@ -22,6 +22,7 @@ def test_lerobot_knows_the_type_and_its_features() -> None:
     }
 
 
+@pytest.mark.slow
 def test_copies_are_the_tasks_own_episodes() -> None:
     (copies,) = make_env(RlcoEnv(horizon=3), n_envs=2)["rlco"].values()
     observation, _ = copies.reset(seed=[4, 9])
@@ -62,6 +63,7 @@ class _Solved(TaskEnv):
         return {**out, "is_success": self._elapsed in self.solved_at}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("solved_at", "expected"), [((2,), False), ((2, 3), True)])
 def test_an_episode_counts_as_solved_at_its_end(
     solved_at: tuple[int, ...], expected: bool

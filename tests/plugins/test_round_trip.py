@@ -25,6 +25,8 @@ from rlco.physics.tasks.make_task import make_task
 from rlco.policies import make_policy, save_policy, task_sizes
 from rlco.run import run_recipe
 
+pytestmark = pytest.mark.slow
+
 RECIPES = Path(__file__).parents[2] / "recipes"
 
 

@@ -20,6 +20,8 @@ from rlco.policies.vla.lerobot.checkpoint import load_lerobot
 from rlco.policies.vla.lerobot.policy import LeRobotPolicy
 from rlco.training import MasterWeightAdamW
 
+pytestmark = pytest.mark.slow
+
 ROOT = Path(__file__).parents[2]
 SCRIPT = ROOT / "docs" / "co_train_lerobot.py"
 

@@ -19,6 +19,8 @@ from rlco.policies import load_policy
 from rlco.run import Run
 from rlco.runs.metrics import read_metrics
 
+pytestmark = pytest.mark.slow
+
 STAGES = pytest.mark.parametrize("stage", ["sft", "rl_co"])
 
 

@@ -14,6 +14,8 @@ from recipe_cases import refused, start
 from rlco.physics.effects import AppliedEffect
 from rlco.physics.effects.effects_file import read_effects, write_effects
 
+pytestmark = pytest.mark.slow
+
 TINY = (
     "seeds=[3]",
     "seconds=4",

@@ -25,6 +25,8 @@ from rlco.runs.compare.plan import make_plan
 from rlco.runs.compare.queue import Queue
 from rlco.runs.config import parse
 
+pytestmark = pytest.mark.slow
+
 #: A job that takes no time. It notes that it ran, and solves what it is asked to.
 SCRIPT = '''"""Counts."""
 
@@ -361,7 +363,10 @@ def running(grid: Grid) -> Iterator[tuple[subprocess.Popen[bytes], Path]]:
     grid.content["jobs"]["first"]["options"]["steps"] = 40  # two seconds
     grid.content["table"].pop("differences")
     command = [sys.executable, str(RECIPES / "compare.py"), *grid.arguments()]
+    # Where tests run in the background of a shell, a child would ignore Ctrl-C.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     runner = subprocess.Popen(command, start_new_session=True)
+    signal.signal(signal.SIGINT, before)
     steps = None
     while steps is None or len(steps.read_text().split()) < 3:
         assert runner.poll() is None

@@ -18,6 +18,8 @@ from rlco.physics.effects.effects_file import write_effects
 from rlco.policies.tiny.smolvla import write_tiny_smolvla
 from rlco.runs.metrics import read_metrics
 
+pytestmark = pytest.mark.slow
+
 Capture = pytest.CaptureFixture[str]
 DRAG = RECIPES.parent / "docs" / "my_effect.py"
 QUICK = (

@@ -19,6 +19,8 @@ from rlco.physics.robosuite.stepper import RobosuiteStepper
 from rlco.physics.tasks.push_cube import TASK
 from rlco.policies import load_policy
 
+pytestmark = pytest.mark.slow
+
 
 def filmed(assets: Assets, out: Path, *options: str) -> Any:
     """Return the frames of the first episode, shape (T, height, width, 3)."""

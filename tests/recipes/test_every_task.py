@@ -17,6 +17,7 @@ NOT_DEFAULT = (*TASK_NAMES[1:], "reach:TASK")
 LEFT_OUT = ("iterations", "critic_iterations", "eval_episodes", "eval_every")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", NOT_DEFAULT)
 def test_record_imitate_and_reinforce(
     task: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

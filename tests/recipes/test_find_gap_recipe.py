@@ -21,6 +21,8 @@ from small_problems import ARM, arm_problem
 from rlco.gap.logs.log import Array, Log
 from rlco.physics.effects import AppliedEffect
 
+pytestmark = pytest.mark.slow
+
 Capture = pytest.CaptureFixture[str]
 DRAG = RECIPES.parent / "docs" / "my_effect.py"
 DAMPING = AppliedEffect("viscous_damping", "shoulder", {"damping": 0.6})

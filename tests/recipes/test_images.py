@@ -64,6 +64,7 @@ def forget_poses(folder: Path) -> None:
     info.write_text(json.dumps(content))
 
 
+@pytest.mark.slow
 def test_recorded_pictures_are_read_back(seen: Seen) -> None:
     sim = load_demos(seen.sim)
     assert sim.meta.image_key == "observation.images.agentview"
@@ -91,6 +92,7 @@ def test_many_pictures_are_mapped_from_a_file_that_goes_with_them(
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_policy_that_sees_goes_through_stage_two_and_is_filmed(
     seen: Seen, tmp_path: Path
 ) -> None:

@@ -27,6 +27,7 @@ def stage_one(assets: Assets, folder: Path, *options: str) -> Path:
     return folder / "policy"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "options", "stage_two"),
     [
@@ -64,6 +65,7 @@ class KilledError(Exception):
     """Stands for whatever ends a process between a row and its checkpoint."""
 
 
+@pytest.mark.slow
 def test_a_flow_that_was_cut_off_draws_the_same_noises_when_resumed(
     assets: Assets, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -24,6 +24,8 @@ from rlco.policies.tiny.smolvla import write_tiny_smolvla
 from rlco.policies.vla.lerobot.inputs import dataset_stats
 from rlco.policies.vla.prefix_critic import PrefixCritic
 
+pytestmark = pytest.mark.slow
+
 RECIPE = "lerobot_co_train"
 LAST = "lerobot/checkpoints/last/pretrained_model"
 

@@ -39,6 +39,7 @@ def test_stage_one_learns_from_demonstrations_of_lift(policy: Path) -> None:
     assert extra["state_names"][:3] == ["tool.x", "tool.y", "tool.z"]
 
 
+@pytest.mark.slow
 def test_stage_two_learns_on_robosuites_copies(
     policy: Path, demos: Path, tmp_path: Path
 ) -> None:
@@ -61,6 +62,7 @@ def test_stage_two_learns_on_robosuites_copies(
     assert any((a != b).any() for a, b in changed)
 
 
+@pytest.mark.slow
 def test_evaluation_plays_robosuites_episodes(policy: Path, tmp_path: Path) -> None:
     out = tmp_path / "evaluation"
     given = (f"policy={policy}", f"task={LIFT}", "episodes=1")

@@ -19,6 +19,7 @@ Capture = pytest.CaptureFixture[str]
 OWN = ("task=null", "sim_ratio=0", *SFT)
 
 
+@pytest.mark.slow
 def test_joint_angles_in_degrees_are_imitated_in_degrees(tmp_path: Path) -> None:
     data = write_arm(tmp_path / "arm", scale=90.0, frames=40)
     rest = [o for o in OWN if not o.startswith(("updates", "hidden"))]

@@ -52,6 +52,7 @@ def test_an_unknown_option_or_name(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("recipe", ["rl_co", "evaluate"])
 def test_an_unknown_task_for_a_policy(
     assets: Assets, capsys: Capture, tmp_path: Path, recipe: str
@@ -130,6 +131,7 @@ def test_a_data_set_that_cannot_be_used(
     assert (tree(data) if data.exists() else {}) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("recipe", ["sft", "rl_co"])
 def test_renaming_a_feature_makes_such_a_data_set_usable(
     assets: Assets, inputs: dict[str, list[str]], tmp_path: Path, recipe: str

@@ -98,6 +98,7 @@ def test_a_module_that_imports_by_name_brings_its_package(script: Path) -> None:
     assert not any(name.startswith("rlco/gap/") for name in found)
 
 
+@pytest.mark.slow
 def test_the_runner_is_no_part_of_what_it_runs() -> None:
     # Otherwise a better table would put every result out of date.
     for path in (ROOT / "recipes").glob("*.py"):

@@ -59,10 +59,17 @@ class Diary:
         return "state"
 
     def update(
-        self, rollout: TensorDictBase, epochs: int, *, train_policy: bool
+        self,
+        rollout: TensorDictBase,
+        epochs: int,
+        *,
+        train_policy: bool,
+        measure: bool,
     ) -> dict[str, float]:
         assert rollout.batch_size == (2, 2)
         self.happened.append(("updated", epochs, train_policy))
+        if measure:
+            self.happened.append(("measured the anchor",))
         return {"loss": 0.5}
 
     def check(self, rollout: TensorDictBase) -> None:
@@ -106,6 +113,17 @@ def test_an_iteration_is_collected_learned_measured_written_and_saved() -> None:
         ("row", 2, {"frames": 12, **row}),
         ("saved", 2, "state"),
     ]
+
+
+def test_the_anchor_is_measured_in_the_iterations_asked_for() -> None:
+    diary = Diary()
+    for _ in co_train(
+        options(), diary, diary, diary, check_first=diary.check, measure=(2).__eq__
+    ):
+        pass
+    measured = diary.happened.index(("measured the anchor",))
+    assert diary.happened.count(("measured the anchor",)) == 1
+    assert diary.happened[measured - 1] == ("updated", 3, True)
 
 
 def test_without_a_critic_the_policy_learns_from_the_first_rollout() -> None:

@@ -46,6 +46,7 @@ def test_training_episodes_are_as_long_as_the_task_says(
     collector.close()
 
 
+@pytest.mark.slow
 def test_a_horizon_that_cuts_off_most_demonstrations_is_named(
     tmp_path: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:

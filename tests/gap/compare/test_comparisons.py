@@ -160,6 +160,7 @@ def jumping(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return write(folder, recorded("before", damping=3.0, late=3))
 
 
+@pytest.mark.slow
 def test_more_channels_do_not_make_the_answer_worse(
     jumping: tuple[Path, Path], tmp_path: Path
 ) -> None:
@@ -187,6 +188,7 @@ def test_more_channels_do_not_make_the_answer_worse(
     assert "Compared: joint positions" in text
 
 
+@pytest.mark.slow
 def test_torques_confirm_what_positions_named(tmp_path: Path) -> None:
     case = write(tmp_path / "case", recorded("mean", damping=3.0, late=3))
     finding = run_gap(*case, threads=1, exclude=set(EFFECTS) - LIBRARY)
@@ -199,6 +201,7 @@ def test_torques_confirm_what_positions_named(tmp_path: Path) -> None:
     assert "A check by torques: with viscous damping at shoulder their disag" in words
 
 
+@pytest.mark.slow
 def test_a_name_by_torques_that_jump_is_given_with_a_warning(
     jumping: tuple[Path, Path], tmp_path: Path
 ) -> None:
@@ -215,6 +218,7 @@ def test_a_name_by_torques_that_jump_is_given_with_a_warning(
     assert "do not act on this: Effort of elbow looks" in box
 
 
+@pytest.mark.slow
 def test_both_are_searched_where_that_is_asked_for(tmp_path: Path) -> None:
     case = write(tmp_path / "case", recorded("mean", damping=3.0))
     finding = run_gap(*case, threads=1, exclude=set(EFFECTS) - LIBRARY, compare="both")

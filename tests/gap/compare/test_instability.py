@@ -93,6 +93,7 @@ def diverges(xml: str) -> bool:
     return not np.isfinite(problem(xml).residuals([Hypothesis()])).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", WILD)
 def test_a_model_that_diverges_is_said_to_and_where_and_when(name: str) -> None:
     found = verdict(name)

@@ -121,6 +121,7 @@ CHANGES: dict[str, tuple[Change, str]] = {
 }
 
 
+@pytest.mark.slow
 def test_the_simulators_own_log_agrees() -> None:
     found = check(short())
     assert found.agrees
@@ -129,6 +130,7 @@ def test_the_simulators_own_log_agrees() -> None:
     assert found.summary.startswith("The log follows the simulator's conventions: ")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CHANGES)
 def test_another_convention_of_actions_is_recognised_and_corrected(name: str) -> None:
     change, words = CHANGES[name]
@@ -224,6 +226,7 @@ def test_a_late_robot_is_no_other_convention() -> None:
     assert "command_delay" in found.summary
 
 
+@pytest.mark.slow
 def test_a_robot_with_friction_and_payload_still_agrees() -> None:
     from rlco.physics.native.stepper import NativeStepper
     from rlco.physics.spec.domain import SIM

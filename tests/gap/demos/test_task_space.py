@@ -32,6 +32,8 @@ from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.spec.domain import SIM, STAND_IN, Domain
 from rlco.physics.tasks.push_cube import TASK
 
+pytestmark = pytest.mark.slow
+
 Array = NDArray[np.float64]
 
 

@@ -150,6 +150,7 @@ def test_numbers_that_may_follow_tell_nothing_apart() -> None:
     assert apart[rival] > 1.5
 
 
+@pytest.mark.slow
 def test_the_motion_tells_rivals_apart_that_the_log_does_not() -> None:
     time, goals = slow_commands()
     problem = recorded((DAMPING,), time, goals)

@@ -149,6 +149,7 @@ def test_the_page_escapes_what_came_from_files(problem: Arm) -> None:
     assert Read(text).open == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("floors", "warns"), [(32.0, True), (1.1, False)])
 def test_a_small_share_of_a_large_gap_is_told_where_it_is_no_noise(
     problem: Arm, floors: float, warns: bool
@@ -251,6 +252,7 @@ def test_a_number_is_told_before_and_after_where_the_model_has_some(
     assert numbers_of(late, problem.model)[0][1] == "40.0 ms"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", list(MEANING))
 def test_what_to_do_now_comes_before_all_figures_in_plain_words(
     problem: Arm, kind: str
@@ -276,6 +278,7 @@ def test_only_what_is_as_good_is_called_so(problem: Arm) -> None:
     assert "load friction at elbow: ruled out, 1 % worse" in text
 
 
+@pytest.mark.slow
 def test_nothing_is_listed_with_0_per_cent(problem: Arm) -> None:
     verdict = replace(
         nothing_named(problem),

@@ -36,6 +36,7 @@ def _soft(model: mujoco.MjModel) -> None:
     model.actuator_biasprm[1, 1] *= 0.6
 
 
+@pytest.mark.slow
 def test_of_a_factor_below_one_other_factors_below_one_are_tried() -> None:
     spec, log = mujoco.MjSpec.from_string(TURNTABLES), record(_soft, xml=TURNTABLES)
     subset = start(ArmRollouts(spec, log, np.full(2, 4e-4))).screening_setting()

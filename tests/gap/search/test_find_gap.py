@@ -15,6 +15,8 @@ from rlco.gap.compare.problem import Verdict
 from rlco.gap.search.find_gap import find_gap
 from rlco.physics.effects import EFFECTS
 
+pytestmark = pytest.mark.slow
+
 _NOISE = np.full(2, 4e-4)
 
 

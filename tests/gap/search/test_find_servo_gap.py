@@ -44,6 +44,7 @@ def finding(tmp_path_factory: pytest.TempPathFactory) -> Finding:
     return run_gap("bam:xl330", folder, exclude=exclude, threads=1)
 
 
+@pytest.mark.slow
 def test_a_loss_is_named_beside_the_servos_own_numbers(finding: Finding) -> None:
     verdict = finding.verdict
     (loss,) = verdict.effects
@@ -109,11 +110,13 @@ def test_the_reports_hold_what_was_held_out_and_the_volts(
     assert "2 fitted" not in page.text
 
 
+@pytest.mark.slow
 def test_a_supply_that_sags_is_borne_out(tmp_path: Path) -> None:
     verdict = found(tmp_path, LOSS, loss=0.8, sag=2.0)
     assert "support" in verdict.remarks[0]
 
 
+@pytest.mark.slow
 def test_friction_with_the_load_is_named_alone(tmp_path: Path) -> None:
     verdict = found(tmp_path, FRICTION, LOSS, ratio=0.2)
     (friction,) = verdict.effects
@@ -142,6 +145,7 @@ def test_what_is_not_in_the_library_is_not_named(tmp_path: Path) -> None:
     assert closest[0] == Candidate("gravity_tilt", None)
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_best_so_far(tmp_path: Path) -> None:
     loaded = load_model("bam:xl330")
     problem = make_problem(loaded, read_log(write_bench(tmp_path, ratio=0.2), loaded))

@@ -51,6 +51,7 @@ def same(one: Verdict, other: Verdict) -> bool:
     return {**vars(one), "seconds": 0} == {**vars(other), "seconds": 0}
 
 
+@pytest.mark.slow
 def test_two_effects_are_found_where_nobody_interrupts(steps: list[Step]) -> None:
     names = {(e.name, e.target) for e in steps[-1].after.best.effects}
     assert names == {(e.name, e.target) for e in HIDDEN}

@@ -22,6 +22,8 @@ from rlco.gap.search.steps.start import start
 from rlco.gap.search.verdict import conclude
 from rlco.physics.effects import AppliedEffect
 
+pytestmark = pytest.mark.slow
+
 _NOISE = np.full(2, 4e-4)
 _WEIGHTLESS = TWO_LINKS.replace("<option ", '<option gravity="0 0 0" ')
 

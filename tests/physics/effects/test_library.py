@@ -55,6 +55,7 @@ def test_the_names_are_those_that_reports_use() -> None:
     assert set(EFFECTS) == _NAMES | of_tasks | {"controller_stiffness"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(_NAMES))
 def test_the_neutral_size_changes_neither_motion_nor_commands(name: str) -> None:
     effect, nominal = EFFECTS[name], _spec().compile()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mujoco
 import numpy as np
+import pytest
 from effect_cases import EFFECTS
 
 from rlco.gap.compare.problem import Hypothesis
@@ -24,6 +25,7 @@ _DYNAMICS += ("dof_damping", "dof_armature", "dof_frictionloss", "actuator_gainp
 _DYNAMICS += ("actuator_biasprm", "actuator_forcerange")
 
 
+@pytest.mark.slow
 def test_search_and_both_backends_compile_the_same_model() -> None:
     env = Tabletop(TASK, with_effects(SIM, ON_MODEL))
     env.start(TASK.sample(np.random.default_rng(0), None))

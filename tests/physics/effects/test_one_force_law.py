@@ -167,6 +167,7 @@ def assert_one_force(effects: list[AppliedEffect]) -> None:
             np.testing.assert_allclose(other[1], friction, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effect", STEP_EFFECTS, ids=lambda e: e.name)
 def test_three_steppers_apply_one_force(effect: AppliedEffect) -> None:
     assert_one_force([effect])
@@ -176,6 +177,7 @@ def test_three_steppers_apply_all_forces_together(own_effects: None) -> None:
     assert_one_force([*STEP_EFFECTS, *OWN])
 
 
+@pytest.mark.slow
 def test_an_effect_of_ones_own_acts_wherever_a_robot_is_stepped(
     own_effects: None,
 ) -> None:

@@ -32,6 +32,7 @@ def worlds() -> NativeStepper:
     return NativeStepper(TASK, SIM, num_envs=3, threads=2)
 
 
+@pytest.mark.slow
 def test_patched_masses_and_frictions_equal_models_compiled_with_them() -> None:
     patched, plain = worlds(), worlds()
     model = patched.model
@@ -83,6 +84,7 @@ def test_a_patch_equals_mujocos_own_compiler() -> None:
     assert inner.model_of(0).body_mass[1] == 0.5
 
 
+@pytest.mark.slow
 def test_stiffness_and_delay_equal_a_domain_that_has_them() -> None:
     stepper = worlds()
     stiff = stepper.worlds.memory.stiffness[0] * 0.6

@@ -19,6 +19,7 @@ def _part(recorded: dict[str, np.ndarray], lead: str) -> dict[str, np.ndarray]:
     return {k.removeprefix(lead): v for k, v in recorded.items() if k.startswith(lead)}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", BACKENDS)
 @pytest.mark.parametrize("domain", DOMAINS)
 @pytest.mark.parametrize("task", TASK_NAMES)

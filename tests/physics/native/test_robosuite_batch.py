@@ -16,6 +16,7 @@ from rlco.physics.robosuite.robosuite_api import robosuite
 from rlco.physics.robosuite.tasks import make_plain
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_every_control_step_is_robosuites(name: str) -> None:
     worst = compare(name, exact=True, episodes=2, steps=12)
@@ -32,6 +33,7 @@ def test_fast_arithmetic_differs_by_rounding() -> None:
     assert worst.reward <= 1e-9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["Lift", "Door", "joint position"])
 def test_an_open_loop_in_the_air_stays_with_robosuite(name: str) -> None:
     env, batch = pair(name, exact=False)
@@ -183,6 +185,7 @@ def test_controllers_that_are_not_computed_are_refused(
         RobosuiteBatch(env, num_envs=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "options", "message"),
     [

@@ -22,6 +22,8 @@ from stepping_cases import Watch
 from rlco.physics.spec.domain import LOCKED, SIM, STAND_IN
 from rlco.physics.spec.names import TASK_NAMES
 
+pytestmark = pytest.mark.slow
+
 ROBOSUITE = ("Lift", "Stack", "Door", "NutAssembly")
 PLACES = [(n, d) for d in (SIM, STAND_IN, LOCKED) for n in TASK_NAMES]
 PLACES += [(n, SIM) for n in ROBOSUITE]

@@ -26,7 +26,7 @@ from rlco.physics.rendering.camera import Camera, Quality, move_camera
 from rlco.physics.spec.domain import SIM, Domain
 from rlco.physics.spec.names import TASK_NAMES
 
-pytestmark = NEEDS_GL
+pytestmark = [NEEDS_GL, pytest.mark.slow]
 
 
 # -- Quality robosuite ------------------------------------------------------------

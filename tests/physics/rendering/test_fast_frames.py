@@ -39,6 +39,7 @@ def test_fast_shows_the_same_things_at_the_same_places() -> None:
     assert (apart > 30).mean() < 0.06
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["agentview", "frontview", "robot0_eye_in_hand"])
 def test_what_is_left_out_cannot_be_seen(
     name: str, monkeypatch: pytest.MonkeyPatch

@@ -25,7 +25,7 @@ from rlco.envs import make_robosuite
 from rlco.errors import RlcoError
 from rlco.physics.rendering.camera import Camera
 
-pytestmark = NEEDS_GL
+pytestmark = [NEEDS_GL, pytest.mark.slow]
 
 
 def test_cameras_of_several_models_and_sizes_do_not_mix() -> None:

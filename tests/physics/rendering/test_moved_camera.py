@@ -6,6 +6,7 @@ from typing import Any
 
 import mujoco
 import numpy as np
+import pytest
 from camera_cases import (
     NEEDS_GL,
     QUALITIES,
@@ -35,6 +36,7 @@ def pixel(model: mujoco.MjModel, data: Any, point: Any) -> NDArray[np.float64]:
     return np.array([SIZE[0] / 2 + scale * y / z, SIZE[1] / 2 - scale * x / z]) - 0.5
 
 
+@pytest.mark.slow
 @QUALITIES
 def test_pictures_show_objects_where_the_domain_reports_them(quality: Quality) -> None:
     env = make_env(

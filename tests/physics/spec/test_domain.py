@@ -105,6 +105,7 @@ def test_the_values_of_locked_stay_as_they_were_fixed() -> None:
     assert tuple(vars(LOCKED.sensors).values()) == values
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("backend", [NativeStepper, RobosuiteStepper])
 @pytest.mark.parametrize("delay", [1, 3])
 def test_a_delay_of_k_steps_shifts_the_response_by_exactly_k(

@@ -10,6 +10,8 @@ from expert_cases import expert_slopes, solved
 from rlco.physics.spec.domain import LOCKED, SIM, STAND_IN, Domain
 from rlco.physics.tasks.close_drawer import TASK, sample
 
+pytestmark = pytest.mark.slow
+
 # Before the handle, where a finger touches it.
 TOUCHING = {"outside": 0.017, "side": 0.0, "above": 0.0}
 

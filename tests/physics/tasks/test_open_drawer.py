@@ -18,6 +18,7 @@ from rlco.physics.tasks.open_drawer import TASK, sample
 HOOKED = {"outside": -0.0285, "side": 0.0, "above": -0.003}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("domain", [SIM, STAND_IN, LOCKED], ids=lambda d: d.name)
 def test_the_expert_opens_95_percent_in_every_domain(domain: Domain) -> None:
     assert solved(TASK, domain, 40).mean() >= 0.95
@@ -27,6 +28,7 @@ def test_a_training_episode_is_long_enough_in_the_slower_domain() -> None:
     assert solved(TASK, STAND_IN, 20, steps=TASK.training_horizon).mean() >= 0.95
 
 
+@pytest.mark.slow
 def test_the_expert_copes_with_a_teleoperators_noise() -> None:
     assert solved(TASK, STAND_IN, 20, noise=0.1).mean() >= 0.9
 

@@ -14,6 +14,8 @@ from rlco.physics.spec.robot import PANDA
 from rlco.physics.spec.task import SceneState
 from rlco.physics.tasks.pick_and_place import SHAPES, TASK, sample
 
+pytestmark = pytest.mark.slow
+
 FAR = np.array([[0.0, 0.3, 0.82], [0.0, 0.0, 0.0], [0.0, -0.3, 0.822]])
 
 

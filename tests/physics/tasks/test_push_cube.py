@@ -38,6 +38,7 @@ def scene(
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("domain", [SIM, STAND_IN, LOCKED], ids=lambda d: d.name)
 def test_the_expert_solves_95_percent_in_every_domain(domain: Domain) -> None:
     stepper = NativeStepper(TASK, domain, num_envs=40)
@@ -164,6 +165,7 @@ def test_unknown_names_come_with_a_suggestion() -> None:
         sample(np.random.default_rng(0), "far")
 
 
+@pytest.mark.slow
 def test_demonstrations_are_the_same_again_and_end_after_success() -> None:
     def record(num_envs: int) -> list[bytes]:
         demos = demonstrate(TASK, SIM, episodes=3, seed=4, num_envs=num_envs, hold=5)

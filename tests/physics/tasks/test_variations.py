@@ -63,6 +63,7 @@ def test_colours_change_colours_alone(task: Task) -> None:
     )
 
 
+@pytest.mark.slow
 @TASKS
 def test_shapes_change_shapes_and_no_masses(task: Task) -> None:
     before, after = start(task, None), start(task, "shapes")
@@ -171,6 +172,7 @@ def test_an_environment_with_a_moved_camera_reports_turned_positions() -> None:
     assert turn == pytest.approx(0.10, abs=5e-3)
 
 
+@pytest.mark.slow
 @TASKS
 @pytest.mark.parametrize("variation", ["shapes", "initial_states"])
 def test_the_expert_solves_what_changes_the_physics(task: Task, variation: str) -> None:

@@ -40,6 +40,7 @@ def marginal(steps: int, level: float, *, noisy: bool) -> tuple[float, float]:
     return float(end.mean()), float(end.std())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", [0.5, 1.0])
 def test_flow_sde_has_the_marginal_of_the_deterministic_flow(level: float) -> None:
     torch.manual_seed(0)

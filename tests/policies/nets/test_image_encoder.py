@@ -62,6 +62,7 @@ def test_a_spot_is_found_where_it_is() -> None:
     torch.testing.assert_close(SpatialSoftmax()(maps), expected)
 
 
+@pytest.mark.slow
 def test_the_small_encoder_learns_places_within_a_pixel() -> None:
     encoder = ImageEncoder("conv", (64, 64))
     head = torch.nn.Linear(encoder.features, 2)

@@ -15,6 +15,8 @@ from rlco.errors import ConfigError, DataError
 from rlco.policies import Actor, FlowPolicy
 from rlco.policies.densities.flow_steps import euler_step, sde_step, step_times
 
+pytestmark = pytest.mark.slow
+
 SAMPLE = ("vla_action", "sample")
 LOG_PROB = ("vla_action", "log_probs")
 STEP = ("vla_action", "denoise_step")

@@ -131,6 +131,7 @@ def test_imitation_loss_by_hand(imitation: Any, expected: float) -> None:
     torch.testing.assert_close(found, torch.full((3, 2, 2), expected))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["mse", "nll", "log_prob"])
 def test_gradients_agree_with_finite_differences(what: str) -> None:
     imitation: Any = "mse" if what == "mse" else "nll"
@@ -201,6 +202,7 @@ def test_other_precisions_stay_close_to_float32(dtype: torch.dtype) -> None:
     )
 
 
+@pytest.mark.slow
 def test_get_dist_and_forward_compile_as_one_graph() -> None:
     policy, td = make_policy(), observations(4)
     torch.compiler.reset()

@@ -264,6 +264,7 @@ def test_blurred_imitation_approaches_the_plain_one() -> None:
     torch.testing.assert_close(blurred.imitation_loss(td), plain.imitation_loss(td))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", ["log_prob", "entropy", "imitation"])
 def test_gradients_agree_with_finite_differences(what: str) -> None:
     policy = tiny("token", layers=1).double()

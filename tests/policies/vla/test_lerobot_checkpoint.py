@@ -32,6 +32,8 @@ from rlco.policies.vla.lerobot.trained_weights import add_expert_lora
 from rlco.runs.state_files import save_state
 from rlco.training import MasterWeightAdamW
 
+pytestmark = pytest.mark.slow
+
 both = pytest.mark.parametrize("kind", KINDS)
 Weights = dict[str, torch.Tensor]
 

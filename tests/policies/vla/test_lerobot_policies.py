@@ -17,6 +17,8 @@ from rlco.policies.vla.lerobot.policy import LeRobotPolicy
 from rlco.policies.vla.prefix_cache import PREFIX, SUMMARY
 from rlco.policies.vla.prefix_critic import PrefixCritic
 
+pytestmark = pytest.mark.slow
+
 both = pytest.mark.parametrize("kind", KINDS)
 
 

@@ -65,6 +65,7 @@ def test_drawing_and_evaluating_agree(temperature: float) -> None:
     torch.testing.assert_close(log_prob(policy, td), written, atol=1e-4, rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_samples_are_as_frequent_as_their_probability_says() -> None:
     policy = actor(action_size=1)
     one = rows(1, chunk=1, action_size=1)

@@ -44,6 +44,7 @@ def collect(policy: OpenVLAPolicy, critic: PrefixCritic) -> TensorDictBase:
     return rollout
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lora", [False, True])
 def test_it_is_collected_and_co_trained(lora: bool) -> None:
     policy = actor(lora=lora)
@@ -95,6 +96,7 @@ def test_a_missing_summary_is_named() -> None:
         PrefixCritic(8, hidden=(4,))(rows(2))
 
 
+@pytest.mark.slow
 def test_what_next_observations_lack_is_said_before_their_values_are_taken() -> None:
     policy = actor()
     env = make_env(

@@ -23,6 +23,8 @@ from rlco.gap.search.steps.start import start
 from rlco.gap.search.verdict import conclude
 from rlco.physics.effects import AppliedEffect
 
+pytestmark = pytest.mark.slow
+
 _COLUMNS = ("position", "velocity", "command")
 _ELBOW = '<position name="elbow" joint="elbow" kp="20" kv="1"/>'
 _DAMPING = 1.045  # times its own: by more than the spread's three per cent, not much
