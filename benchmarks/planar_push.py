@@ -151,7 +151,7 @@ def stage_two(config: Config) -> None:
     from planar.evaluation import evaluation_envs, play_all, rates
 
     from rlco.collectors import check_signal
-    from rlco.evaluation import held_out_error
+    from rlco.evaluation import HeldOut
     from rlco.policies import load_task_policy, save_policy
     from rlco.training.iterations import co_train
     from rlco.training.stage_two import StageTwoOptions
@@ -170,9 +170,10 @@ def stage_two(config: Config) -> None:
     method = "rl_co" if config.real_coeff > 0 else "rl_only"
     with Run(config, "planar_push") as run:
         collector, learner = assemble(options, policy, demos["real"])
+        held_out = HeldOut(policy, demos["heldout"])  # before a checkpoint is loaded
         if run.step is None:
             before = rates(play_all(policy, envs))
-            before |= held_out_error(policy, demos["heldout"])
+            before |= held_out.measure(policy)
             run.log_metrics(0, {"frames": 0} | before)
         for iteration, row in co_train(
             options, run, collector, learner, check_first=check_signal
@@ -180,7 +181,7 @@ def stage_two(config: Config) -> None:
             last = iteration == config.iterations
             if iteration % config.eval_every == 0 or last:
                 row |= rates(play_all(policy, envs))
-                row |= held_out_error(policy, demos["heldout"])
+                row |= held_out.measure(policy)
         outcomes = play_all(policy, envs)
         extra = {"real_coeff": config.real_coeff, **PlanarTask().description()}
         save_policy(policy, run.path / "policy", extra=extra)

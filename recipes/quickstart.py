@@ -199,7 +199,7 @@ def reinforce(
 ) -> ChunkPolicy:
     """Return a policy of Stage II, trained as rl_co.py trains it."""
     from rlco.collectors import check_signal, make_collector
-    from rlco.evaluation import evaluation_envs, held_out_error, success_rates
+    from rlco.evaluation import HeldOut, evaluation_envs, success_rates
     from rlco.losses import CoTrainingLoss, ImitationLoss
     from rlco.policies import save_policy
     from rlco.training.iterations import co_train
@@ -241,15 +241,21 @@ def reinforce(
             episodes=episodes,
             image_size=policy.image_size,
         )
+        held_out = HeldOut(policy, data.heldout)  # before a checkpoint is loaded
         if stage.step is None:
             before = success_rates(policy, envs, episodes, 0)
-            before |= held_out_error(policy, data.heldout)
+            before |= held_out.measure(policy)
             stage.log_metrics(0, {"frames": 0} | before)
         for iteration, row in co_train(
-            options, stage, collector, learner, check_first=check_signal
+            options,
+            stage,
+            collector,
+            learner,
+            check_first=check_signal,
+            measure=options.evaluates,
         ):
-            row |= held_out_error(policy, data.heldout)
-            if iteration % options.eval_every == 0 or iteration == options.iterations:
+            row |= held_out.measure(policy)
+            if options.evaluates(iteration):
                 row |= success_rates(policy, envs, episodes, iteration)
         extra = {"real_coeff": options.real_coeff, **collector.env.task.description()}
         save_policy(policy, stage.path / "policy", extra=extra)

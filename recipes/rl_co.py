@@ -62,9 +62,8 @@ def train(
     """
     from rlco.collectors import check_signal, make_collector
     from rlco.evaluation import (
-        HeldOutDrift,
+        HeldOut,
         evaluation_envs,
-        held_out_error,
         result_rows,
         success_rates,
     )
@@ -107,17 +106,13 @@ def train(
         image_size=policy.image_size,
     )
     best = best_policy(config, policy)
-    drift = HeldOutDrift(policy, demos.heldout)  # a checkpoint is loaded later
+    held_out = HeldOut(policy, demos.heldout)  # before a checkpoint is loaded
     if run.step is None:
         before = success_rates(policy, envs, episodes, 0)
-        before |= held_out_error(policy, demos.heldout) | drift.measure(policy)
+        before |= held_out.measure(policy)
         run.log_metrics(0, {"frames": 0} | before)
         if best is not None:
             best.offer(0, before)
-
-    def evaluated(iteration: int) -> bool:
-        return iteration % config.eval_every == 0 or iteration == config.iterations
-
     for iteration, row in co_train(
         config,
         run,
@@ -125,10 +120,10 @@ def train(
         learner,
         check_first=check_signal,
         best=best,
-        measure=evaluated,
+        measure=config.evaluates,
     ):
-        row |= held_out_error(policy, demos.heldout) | drift.measure(policy)
-        if evaluated(iteration):
+        row |= held_out.measure(policy)
+        if config.evaluates(iteration):
             row |= success_rates(policy, envs, episodes, iteration)
     extra = {"real_coeff": config.real_coeff, **collector.env.task.description()}
     collector.close()

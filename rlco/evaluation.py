@@ -25,7 +25,7 @@ from rlco.reporting.statistics import ResultRow, wilson_interval
 from rlco.reporting.video import write_video
 
 if TYPE_CHECKING:
-    from rlco.data import DemoReplayBuffer
+    pass
 
 log = logging.getLogger("rlco.evaluation")
 
@@ -198,16 +198,6 @@ def success_rates(
     return rates
 
 
-def held_out_error(policy: Any, demos: DemoReplayBuffer | None) -> dict[str, float]:
-    """Return ``imitation_error_heldout`` on held-out demonstrations, if there are any.
-
-    See `imitation_error`.
-    """
-    if demos is None:
-        return {}
-    return {"imitation_error_heldout": imitation_error(policy, demos.frames())}
-
-
 class Demonstrated(Protocol):
     """Demonstrations, such as those of `rlco.data.load_demos`."""
 
@@ -215,11 +205,12 @@ class Demonstrated(Protocol):
         """Return every frame in order, with chunks and which steps pad them."""
 
 
-class HeldOutDrift:
-    """How far a policy's actions on held-out demonstrations have moved since it began.
+class HeldOut:
+    """What a policy does on held-out demonstrations, and how far that has moved.
 
-    Unlike the imitation error, which rises with success, too, it is 0 at the start and
-    grows with any change of what the policy does where the robot was shown what to do.
+    Unlike the imitation error, which rises with success, too, the drift is 0 at the
+    start and grows with any change of what the policy does where the robot was shown
+    what to do.
 
     Args:
         policy: A policy of this package, as it is before Stage II.
@@ -231,16 +222,19 @@ class HeldOutDrift:
         self._before = None if demos is None else _likely_actions(policy, demos)
 
     def measure(self, policy: Any) -> dict[str, float]:
-        """Return ``drift_heldout`` [RMS, in units of the policy's action range].
+        """Return ``imitation_error_heldout`` and ``drift_heldout``, if there are any.
 
-        1 is half of what its normalisation maps to [-1, 1]. Each action is the most
-        likely one; steps beyond an episode's end are left out.
+        The first is `imitation_error`. The second is the root mean square of how far
+        the most likely actions have moved: 1 is half of the range that the policy's
+        normalisation maps to [-1, 1]. Steps beyond an episode's end are left out.
         """
         if self._demos is None or self._before is None:
             return {}
+        error = imitation_error(policy, self._demos.frames())
         moved = _likely_actions(policy, self._demos) - self._before
         real = ~self._demos.frames()[keys.IS_PAD]
-        return {"drift_heldout": float(moved[real].pow(2).mean().sqrt())}
+        drift = float(moved[real].pow(2).mean().sqrt())
+        return {"imitation_error_heldout": error, "drift_heldout": drift}
 
 
 def _likely_actions(policy: Any, demos: Demonstrated) -> torch.Tensor:

@@ -14,7 +14,7 @@ from rlco.envs import TabletopEnv, make_env
 from rlco.evaluation import (
     EVALUATION_SEED,
     Evaluation,
-    HeldOutDrift,
+    HeldOut,
     evaluate,
     evaluation_env,
 )
@@ -171,6 +171,7 @@ class Frames:
         return TensorDict(
             {
                 "observation": {"state": torch.zeros(2, 3)},
+                "vla_action": {"chunk": torch.zeros(2, 2, 1)},
                 keys.IS_PAD: torch.tensor([[False, False], [False, True]]),
             },
             [2],
@@ -181,12 +182,12 @@ def test_drift_is_how_far_actions_moved_in_units_of_their_range() -> None:
     policy = GaussianPolicy(3, chunk=2, action_size=1, hidden=(4,))
     low, high = torch.tensor([-0.5]), torch.tensor([0.5])
     policy.set_normalization(action=(low, high))
-    drift = HeldOutDrift(policy, Frames())
-    assert drift.measure(policy) == {"drift_heldout": 0.0}
+    drift = HeldOut(policy, Frames())
+    assert drift.measure(policy)["drift_heldout"] == 0.0
     # The head's output is the normalised mean: steps move by .1, .3, .1 and a padded
     # .3, so the mean square of the real ones is .11 / 3.
     with torch.no_grad():
         policy.network.head.bias += torch.tensor([0.1, 0.3])
     found = drift.measure(policy)["drift_heldout"]
     assert found == pytest.approx((0.11 / 3) ** 0.5, rel=1e-4)
-    assert HeldOutDrift(policy, None).measure(policy) == {}
+    assert HeldOut(policy, None).measure(policy) == {}

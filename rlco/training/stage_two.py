@@ -110,6 +110,10 @@ class StageTwoOptions(AugmentOptions):
         None, "Python file that registers effects of your own"
     )
 
+    def evaluates(self, iteration: int) -> bool:
+        """Return whether an iteration ends with an evaluation."""
+        return iteration % self.eval_every == 0 or iteration == self.iterations
+
 
 class StageTwoDemos(NamedTuple):
     """Real demonstrations of Stage II: the anchor's, and those never trained on."""

@@ -286,7 +286,7 @@ def test_quickstart_runs_to_its_report(
         "heldout_demos=1",
         "updates=2",
         "iterations=1",
-        "num_envs=2",
+        "num_envs=3",
         "eval_every=1",
         "curve_episodes=2",
         "eval_episodes=2",

@@ -104,7 +104,7 @@ def test_a_policy_of_another_robot_is_not_taken_into_a_simulator(
     saved = json.loads((policy / "policy.json").read_text())["arguments"]
     assert saved["action_limit"] is None
     line = refused(capsys, "evaluate", f"policy={policy}", f"out={tmp_path / 'e'}")
-    assert "environment_state_size=1" in line
+    assert "trained without a simulator (task=null)" in line
 
 
 def test_metrics_are_those_of_any_stage_one(tmp_path: Path) -> None:

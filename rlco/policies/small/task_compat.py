@@ -60,6 +60,12 @@ def load_task_policy(
         CheckpointError: it cannot be loaded, or reads something else.
     """
     policy, extra = load_policy(folder)
+    if "task" in extra and extra["task"] is None:
+        raise CheckpointError(
+            f"policy {str(folder)!r} was trained without a simulator (task=null), and "
+            f"{task.name!r} is one; run it by load_policy on your robot, or train with "
+            "data of a task that has a simulator."
+        )
     arguments: dict[str, Any] = policy.arguments
     sizes = task_sizes(task) | {"action_size": len(task.action_names)}
     for name, size in sizes.items():
