@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import ctypes
 import os
 import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-_DIES_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux's prctl
+_LAUNCH = Path(__file__).with_name("launch.py")
 _PATIENCE = 20.0  # for a process to end by itself once it was asked to [s]
 
 
@@ -35,27 +34,15 @@ def start(command: Sequence[str], log: Path, *, nice: int) -> subprocess.Popen[b
     It ends when this one does: an orphan would hold its run folder.
     """
     environment = {**os.environ, "OMP_NUM_THREADS": "1"}
+    launch = [sys.executable, "-IS", str(_LAUNCH), str(os.getpid()), str(nice)]
     with log.open("ab") as output:
         return subprocess.Popen(
-            command,
+            [*launch, *command],
             stdin=subprocess.DEVNULL,
             stdout=output,
             stderr=subprocess.STDOUT,
             env=environment,
-            preexec_fn=_prepare(nice),
         )
-
-
-def _prepare(nice: int) -> Callable[[], None]:
-    """Return what a child does before it becomes the command."""
-    bind = ctypes.CDLL(None).prctl if sys.platform == "linux" else None
-
-    def prepare() -> None:
-        os.nice(nice)
-        if bind is not None:
-            bind(_DIES_WITH_PARENT, signal.SIGTERM)
-
-    return prepare
 
 
 def poll(process: subprocess.Popen[bytes]) -> Ended | None:

@@ -1,0 +1,21 @@
+"""Become a command: `python launch.py PARENT NICE COMMAND ...`, run by its path.
+
+A child set up between fork and exec (Popen's `preexec_fn`) needs a real fork, which a
+machine that promises no more memory than it has refuses to a process as large as torch.
+"""
+
+import ctypes
+import os
+import signal
+import sys
+
+_DIES_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux's prctl
+
+if __name__ == "__main__":
+    parent, nice, *command = sys.argv[1:]
+    os.nice(int(nice))
+    if sys.platform == "linux":
+        ctypes.CDLL(None).prctl(_DIES_WITH_PARENT, signal.SIGTERM)
+        if os.getppid() != int(parent):  # it ended before it was bound to
+            sys.exit(1)
+    os.execv(command[0], command)
