@@ -3,6 +3,7 @@
     uv run recipes/find_gap.py model=arm.xml data=logs out=gap_report
     uv run recipes/find_gap.py model=arm.xml data=run.csv angles=degrees out=report
     uv run recipes/find_gap.py model=arm.xml data=logs rename=j1:joint1,j2:joint2 out=r
+    uv run recipes/find_gap.py model=arm.xml data=new check=gap/effects.yaml out=check
     uv run recipes/find_gap.py model=bam:xl330 data=bam_logs out=servo_report
 
 Into `out` it writes report.html for people, report.json for programs, model.xml and
@@ -28,9 +29,11 @@ from rlco.run import run_recipe
 from rlco.runs.config import REQUIRED, option
 from rlco.runs.options import rename_map
 from rlco.runs.run_folder import command_line
+from rlco.runs.whole_files import write_json
 
 log = logging.getLogger("rlco.find_gap")
 
+_SILENT = 30.0  # [s] at most without a word where no bar is shown
 _WRITING = 60.0  # [s] after a Ctrl-C in which the next ones are not heeded
 
 
@@ -51,6 +54,11 @@ class Config:
         "search of its own; null: positions where there are commands, and torques as a "
         "check",
     )
+    check: str | None = option(
+        None,
+        "an effects.yaml found earlier: compare these recordings without and with it; "
+        "nothing is searched",
+    )
     effects_code: str | None = option(
         None, "Python file that registers effects of your own"
     )
@@ -67,6 +75,9 @@ def main(config: Config) -> None:
 
     if config.effects and config.effects_code:
         raise ConfigError(["effects= is effects_code= by its former name; give one"])
+    if config.check is not None:
+        check(config, config.check)
+        return
     with new_folder(config.out) as out, one_interrupt():
         with progress_bar() as progress:
             finding = run_gap(
@@ -87,20 +98,47 @@ def main(config: Config) -> None:
         raise KeyboardInterrupt
 
 
+def check(config: Config, effects: str) -> None:
+    """Compare the recordings with the model, without and with effects of a file."""
+    from rlco.gap import check_effects
+
+    if config.compare == "both":
+        raise ConfigError(["check= compares one quantity; give positions or torques"])
+    with new_folder(config.out) as out:
+        found = check_effects(
+            config.model,
+            config.data,
+            effects,
+            rename=rename_map(config.rename),
+            angles=config.angles,
+            compare=config.compare,
+            effects_code=config.effects_code or config.effects,
+            threads=config.threads,
+        )
+        for line in (*(f"note: {note}" for note in found.notes), *found.lines()):
+            log.info("%s", line)
+        write_json(out / "check.json", found.as_json())
+
+
 @contextmanager
 def progress_bar() -> Iterator[Callable[[str, float], None]]:
-    """Give what shows progress, as a bar from when the search begins."""
+    """Give what shows progress: a bar, or a line now and then without a terminal."""
     from tqdm import tqdm
 
     bar_format = "{desc} {percentage:3.0f}% |{bar}| {elapsed} {postfix}"
     bars = []
+    last = time.monotonic()
 
     def progress(said: str, part: float) -> None:
+        nonlocal last
         if not bars:
             bar = tqdm(total=100, desc="search", bar_format=bar_format, disable=None)
             bars.append(bar)
         bars[0].n = min(100, round(100 * part))
         bars[0].set_postfix_str(said)
+        if bars[0].disable and time.monotonic() - last > _SILENT:
+            last = time.monotonic()
+            log.info("search %d %%: %s", bars[0].n, said)
 
     try:
         yield progress

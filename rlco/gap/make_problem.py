@@ -13,7 +13,7 @@ from rlco.gap.compare.comparisons import Compared
 from rlco.gap.compare.noise import position_noise
 from rlco.gap.compare.problem import Hypothesis, Problem
 from rlco.gap.compare.servo.bench import ServoBench
-from rlco.gap.logs.log import Log, Recording
+from rlco.gap.logs.log import Array, Log, Recording
 from rlco.gap.logs.matching import few
 from rlco.gap.logs.names import match_names
 from rlco.gap.model import LoadedModel, load_servo
@@ -26,6 +26,7 @@ FEWEST = 6  # recordings, or parts of them, for fitting and holding out
 SEGMENT = 0.4  # length of a rollout for a robot that keeps its initial error [s]
 GROWTH = 2.0  # growth of an initial error that marks such a robot
 SHORTEST = 1.0  # shortest part of a recording [s]
+EARLIER = 1.0  # commands before a part that may still act on it [s]
 
 
 def make_problem(
@@ -34,6 +35,7 @@ def make_problem(
     *,
     threads: int = 2,
     compare: Compared | None = None,
+    cut: bool = True,
 ) -> Problem:
     """Return the comparison of this log with simulation.
 
@@ -43,6 +45,8 @@ def make_problem(
         threads: Rollouts that run in parallel.
         compare: ``torques`` for these where the log has commands, too; None for what
             it has, commands before torques.
+        cut: Whether a few recordings are cut into parts, some of which a search then
+            holds out.
 
     Raises:
         DataError: If the log holds nothing that can be compared.
@@ -66,13 +70,14 @@ def make_problem(
         return FreeBody(loaded.spec, log, threads=threads)
     if first.command is not None and unknown:
         raise DataError(_other_actions(log, loaded, ACTION_NAMES if task else ()))
+    parts = in_parts(log) if cut else log
     sent = first.command is not None and first.position is not None and log.actuators
     if sent and compare != "torques":
-        return _commanded(loaded, in_parts(log), threads)
+        return _commanded(loaded, parts, threads)
     if first.torque is not None and first.position is not None:
         from rlco.gap.compare.torque.convention import torque_problem
 
-        return torque_problem(loaded.spec, in_parts(log))
+        return torque_problem(loaded.spec, parts)
     raise DataError(
         "the log holds neither commands and positions, nor torques and positions, nor "
         "a free body's pose: record one of these."
@@ -206,11 +211,19 @@ def in_parts(log: Log) -> Log:
 
     Long recordings are cut, and each part starts from its own measured state.
     """
-    if len(log.recordings) >= FEWEST:
+    count = len(log.recordings)
+    if count >= FEWEST:
         return log
-    pieces = -(-FEWEST // len(log.recordings))
+    pieces = -(-FEWEST // count)
     parts = [part for one in log.recordings for part in _cut(one, pieces)]
-    return replace(log, recordings=tuple(parts))
+    if len(parts) == count:
+        return log
+    note = (
+        f"{'The recording was' if count == 1 else f'The {count} recordings were'} cut "
+        f"into {len(parts)} parts, some to be fitted and some held out, each from its "
+        f"own measured state; {FEWEST} or more recordings are taken as they are."
+    )
+    return replace(log, recordings=tuple(parts), notes=(*log.notes, note))
 
 
 def _cut(recording: Recording, pieces: int) -> list[Recording]:
@@ -222,6 +235,17 @@ def _cut(recording: Recording, pieces: int) -> list[Recording]:
         replace(
             recording.take(slice(bounds[i], bounds[i + 1])),
             name=f"{recording.name}, part {i + 1}",
+            cut_from=recording.name,
+            earlier=_earlier(recording, bounds[i]),
         )
         for i in range(pieces)
     ]
+
+
+def _earlier(recording: Recording, row: int) -> tuple[Array, Array] | None:
+    """Return times and commands of the rows before a row, None where there are none."""
+    if row == 0 or recording.command is None:
+        return None
+    since = recording.time[row] - EARLIER
+    rows = slice(int(np.searchsorted(recording.time, since)), row)
+    return recording.time[rows], recording.command[rows]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +58,10 @@ NOTHING_ELSE = (
     "; there is no model.xml, model.diff or effects.yaml: nothing is searched in a "
     "simulation that diverges"
 )
+NO_CORRECTION = (
+    "; there is no model.xml, model.diff or effects.yaml: what was measured names "
+    "nothing that a model should be corrected by"
+)
 
 
 @dataclass(frozen=True)
@@ -105,10 +109,19 @@ class Finding:
         """Notes on what was noticed and corrected in the recordings."""
         return self.log.notes
 
+    @property
+    def doubtful(self) -> str | None:
+        """Why the verdict should not be acted on; None where nothing speaks for it."""
+        first = self.comparisons[0] if self.comparisons else None
+        return first.notes[0] if first is not None and first.warned else None
+
     def summary(self) -> list[str]:
-        """Return the verdict in a few lines."""
+        """Return the verdict in a few lines, a warning first."""
         lines = verdict_lines(self.verdict, self.where, self.model.model)
-        return lines + [f"  {line}" for line in comparison_lines(self.comparisons)]
+        lines += [f"  {line}" for line in comparison_lines(self.comparisons)]
+        if self.doubtful is None:
+            return lines
+        return [f"Do not act on what follows: {self.doubtful}", *lines]
 
     def write(self, folder: str | Path, *, command: str = "") -> Path:
         """Write the reports, the corrected model and the motions to record next.
@@ -133,11 +146,14 @@ class Finding:
         rows = [motion.save(folder) for motion in self.motions]
         content = report(self.verdict, self.where, self.model.model, rows)
         content |= compared_json(self.comparisons, self.model.model)
+        content["doubtful"] = self.doubtful
         # First the file for programs, so that no later failure can lose it.
         write_json(folder / "report.json", content)
         files = FILES
         if self.verdict.instability is not None:
             files = {"report.json": FILES["report.json"] + NOTHING_ELSE}
+        elif self.doubtful is not None:
+            files = {"report.json": FILES["report.json"] + NO_CORRECTION}
         elif self.model.servo is not None:
             write_servo(self.model, self.verdict, folder)
             files = FILES | SERVO_FILES
@@ -233,7 +249,8 @@ def run_gap(
     motions, complete = _to_record_next(problem, verdict, say)
     if complete and beside is not None and verdict.instability is None:
         options = {"spread": spread, "exclude": exclude} if both else None
-        other, complete = _beside(loaded, recordings, verdict, options, say)
+        log_of_both = replace(recordings, notes=problem.log.notes)
+        other, complete = _beside(loaded, log_of_both, verdict, options, say)
         comparisons.append(other)
     say("preparing the figures", 1.0)
     figures = figure_data(problem, verdict, before, labels)

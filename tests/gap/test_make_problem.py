@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from hidden_arms import FPS, TWO_LINKS, commands, record
 from log_cases import ARM, arm, motion, urdf, write_csv, write_lerobot
 
 from rlco.errors import DataError
@@ -15,6 +17,8 @@ from rlco.gap.compare.torque.torque_log import TorqueLog
 from rlco.gap.logs import read_log
 from rlco.gap.make_problem import make_problem
 from rlco.gap.model import load_model
+from rlco.gap.search.steps.start import split
+from rlco.physics.effects import AppliedEffect
 
 TIME, POSITION, COMMAND = motion()
 HOME = np.array([0.0, 0.2, 0.0, -2.0, 0.0, 2.6, 0.8])
@@ -89,3 +93,43 @@ def test_a_joint_whose_sensor_is_dead_can_be_left_out(tmp_path: Path) -> None:
     problem = make_problem(loaded, read_log(file, loaded, rename={"wrist": "-"}))
     assert problem.layout.channels == ("shoulder", "elbow")
     assert np.isfinite(problem.residuals([Hypothesis()])).all()
+
+
+def test_a_part_of_a_recording_knows_the_commands_before_it(tmp_path: Path) -> None:
+    late = 3  # frames
+
+    def executed(episode: int) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+        sent = commands(episode)
+        return np.concatenate([sent[:1].repeat(late, 0), sent[:-late]])
+
+    log = record(episodes=2, noise=0.0, motion=executed)
+    sent = [replace(r, command=commands(i)) for i, r in enumerate(log.recordings)]
+    (tmp_path / "arm.xml").write_text(TWO_LINKS)
+    loaded = load_model(tmp_path / "arm.xml")
+    problem = make_problem(loaded, replace(log, recordings=tuple(sent)))
+    assert len(problem.log.recordings) == 6
+    (note,) = problem.log.notes
+    assert "The 2 recordings were cut into 6 parts" in note
+    delay = AppliedEffect("command_delay", None, {"delay": late / FPS})
+    left, known = problem.residuals([Hypothesis(), Hypothesis((delay,))])
+    assert np.abs(left).max() > 0.05
+    assert np.abs(known).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("count", "expected"),
+    [
+        (2, (2, 5)),  # every third part: each recording is in both
+        (3, (4, 5)),  # the third recording, whole
+        (5, (4, 5)),
+        (6, (2, 5)),  # not cut
+    ],
+)
+def test_recordings_are_held_out_whole_where_there_are_enough(
+    count: int, expected: tuple[int, ...], tmp_path: Path
+) -> None:
+    (tmp_path / "arm.xml").write_text(TWO_LINKS)
+    problem = make_problem(load_model(tmp_path / "arm.xml"), record(episodes=count))
+    train, heldout = split(problem)
+    assert heldout == expected
+    assert sorted([*train, *heldout]) == list(range(len(problem.log.recordings)))

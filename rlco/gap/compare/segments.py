@@ -22,7 +22,7 @@ class Segment:
         first: Its first row, where the rollout starts.
         begin: The first row that is compared.
         last: Its last row.
-        steps: Physics steps from the recording's first row to the segment's.
+        steps: Physics steps from the recording's first command to the segment's row.
         commands: Physics steps of the segment.
         frames: Step of the segment before each compared row, (rows,).
         weights: Fraction from that step to the next at which the row lies, (rows,).
@@ -43,14 +43,32 @@ class Segment:
 def held_commands(
     recording: Recording, step: float, size: int, columns: list[int]
 ) -> Array:
-    """Return the commands at each physics step, held between rows, (steps, nu)."""
-    steps = round(recording.seconds / step) + 1
-    times = recording.time[0] + step * np.arange(steps)
+    """Return the commands at each physics step, held between rows, (steps, nu).
+
+    They begin `earlier_steps` before the recording's first row.
+    """
+    before = earlier_steps(recording, step)
+    steps = before + round(recording.seconds / step) + 1
+    times = recording.time[0] + step * (np.arange(steps) - before)
+    time, sent = recording.time, np.asarray(recording.command, dtype=float)
+    if recording.earlier is not None:
+        time, sent = (
+            np.concatenate([early, later])
+            for early, later in zip(recording.earlier, (time, sent), strict=True)
+        )
     # A row takes effect at the step nearest to it in time.
-    row = np.searchsorted(recording.time, times + 0.5 * step, side="right") - 1
+    row = np.searchsorted(time, times + 0.5 * step, side="right") - 1
     commands = np.zeros((steps, size))
-    commands[:, columns] = np.asarray(recording.command, dtype=float)[row]
+    commands[:, columns] = sent[row]
     return commands
+
+
+def earlier_steps(recording: Recording, step: float) -> int:
+    """Return the physics steps of the commands before a recording's first row."""
+    if recording.earlier is None:
+        return 0
+    # Rounded down: the first of them has a row.
+    return int((recording.time[0] - recording.earlier[0][0]) / step + 1e-6)
 
 
 def joint_velocity(recording: Recording) -> Array:
@@ -81,6 +99,7 @@ def segments_of(
     period = float(np.median(np.diff(recording.time)))
     length = rows - 1 if horizon is None else max(2, round(horizon / period))
     velocity = joint_velocity(recording)
+    earlier = earlier_steps(recording, step)
     position = np.asarray(recording.position, dtype=float)
     # A velocity derived from positions is poor at the first row of a recording.
     settle = 0 if recording.velocity is not None else round(SETTLE / period)
@@ -103,7 +122,7 @@ def segments_of(
                 first,
                 begin_row,
                 last,
-                begin,
+                earlier + begin,
                 steps,
                 frames,
                 exact - frames,

@@ -28,6 +28,9 @@ class Recording:
             or the servo's ``kp``, as its file has them.
         device: What was recorded, as its file names it, such as ``xl330``; empty where
             it does not.
+        cut_from: Name of the recording that this is a part of; empty where it is whole.
+        earlier: Times [s] and commands of rows before the first, which still act on a
+            part where commands are late, (L,) and (L, actuators).
     """
 
     name: str
@@ -40,6 +43,8 @@ class Recording:
     extra: Mapping[str, Array] = field(default_factory=dict)
     facts: Mapping[str, float] = field(default_factory=dict)
     device: str = ""
+    cut_from: str = ""
+    earlier: tuple[Array, Array] | None = None
 
     @property
     def rows(self) -> int:

@@ -56,5 +56,6 @@ def comparison_lines(comparisons: Sequence[Comparison]) -> list[str]:
             lines.append(check_line(one, [title(effect) for effect in effects]))
         else:
             lines.append(f"By {one.compared} alone: {headline(one.verdict)}")
-        lines += one.notes if one.warned or one.verdict is not None else []
+        if one is not comparisons[0] or not one.warned:
+            lines += one.notes if one.warned or one.verdict is not None else []
     return list(dict.fromkeys(lines))

@@ -273,4 +273,14 @@ def _refusal(
     if not allowed:
         return "the model has nothing that it acts on", "leave it out"
     names = ", ".join(str(name) for name in allowed)
-    return "the model has no such target", f"it can act on {names}"
+    why = "the model has no such target"
+    if effect.target in _named(model):
+        why = "it is searched and applied at other targets alone"
+    return why, f"it can act on {names}"
+
+
+def _named(model: mujoco.MjModel) -> set[str]:
+    """Return the names of a model's joints, bodies and geoms."""
+    named = [(model.joint, model.njnt), (model.body, model.nbody)]
+    named.append((model.geom, model.ngeom))
+    return {one(i).name for one, count in named for i in range(count)}

@@ -14,6 +14,7 @@ import mujoco
 
 from rlco.errors import UnknownNameError
 from rlco.physics.effects.effect import AppliedEffect
+from rlco.physics.effects.targets import moving_bodies
 
 _PREFIX = re.compile(r"^(robot\d+|gripper\d+_(right|left)|(fixed_)?(mount|base)\d+)_")
 _SUFFIX = re.compile(r"_main$")
@@ -49,20 +50,22 @@ def in_model(
     known = [model.joint(i).name for i in range(model.njnt)]
     known += [model.body(i).name for i in range(1, model.nbody)]
     known += [model.geom(i).name for i in range(model.ngeom)]
+    # Of the rest there are hundreds: every wall and every mesh.
+    offered = [n for n in (*known[: model.njnt], *moving_bodies(model)) if n]
     found = []
     for effect in effects:
         target = effect.target
         if target is not None:
-            target = _match((names or {}).get(target, target), known)
+            target = _match((names or {}).get(target, target), known, offered)
         found.append(replace(effect, target=target))
     return found
 
 
-def _match(name: str, known: list[str]) -> str:
+def _match(name: str, known: list[str], offered: list[str]) -> str:
+    """Return the one of the known names that is meant, or offer some."""
     if name in known:
         return name
     near = sorted({other for other in known if plain_name(other) == name})
     if len(near) != 1:
-        choices = near or [n for n in known if n]
-        raise UnknownNameError("target of an effect", name, choices)
+        raise UnknownNameError("target of an effect", name, near or offered)
     return near[0]

@@ -183,6 +183,7 @@ def test_more_channels_do_not_make_the_answer_worse(
     assert (shown["verdict"], shown["gap"]) == (content["verdict"], content["gap"])
     assert (check["compared"], check["searched"]) == ("torques", False)
     assert (check["verdict"], check["doubtful"]) == (None, True)
+    assert content["doubtful"] is None
     text = page.read_text("utf-8")
     assert "What to do now" in text
     assert "Compared: joint positions" in text
@@ -210,10 +211,19 @@ def test_a_name_by_torques_that_jump_is_given_with_a_warning(
     )
     (shown,) = finding.comparisons
     assert (shown.compared, shown.warned) == ("torques", True)
-    assert any("take no name from these torques" in line for line in finding.summary())
+    first, *rest = finding.summary()
+    assert first.startswith("Do not act on what follows: Effort of elbow looks")
+    assert not any("take no name from these torques" in line for line in rest)
     # A light joint's effort seems to run against the model's then, which it does not.
     assert not any("sign was changed" in note for note in finding.notes)
     page = finding.write(tmp_path / "report").read_text("utf-8")
+    # Nobody trains in what such torques name.
+    assert {one.name for one in (tmp_path / "report").iterdir()} <= {
+        "report.html",
+        "report.json",
+    }
+    content = json.loads((tmp_path / "report" / "report.json").read_text())
+    assert content["doubtful"] in first
     box = page.partition("What to do now")[2].partition("</aside>")[0]
     assert "do not act on this: Effort of elbow looks" in box
 

@@ -278,3 +278,12 @@ def test_a_lag_is_the_exact_filter_of_mujoco() -> None:
     out = apply_to_commands(sent, model(), [lag])
     np.testing.assert_allclose(out[:, 0], reached, atol=1e-12)
     np.testing.assert_array_equal(out[:, 1:], sent[:, 1:])
+
+
+def test_a_target_that_is_there_and_cannot_be_acted_on_says_so() -> None:
+    model = mujoco.MjModel.from_xml_string(ARM)
+    payload = AppliedEffect(
+        "payload", "world", {"mass": 1.0, "x": 0.0, "y": 0.0, "z": 0.0}
+    )
+    with pytest.raises(EffectError, match="at other targets alone; it can act on "):
+        checked(model, payload)

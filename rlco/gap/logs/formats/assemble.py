@@ -150,7 +150,11 @@ def _recording(
     recording = Recording(
         table.name,
         table.time,
-        **channels,
+        position=channels["position"],
+        velocity=channels["velocity"],
+        command=channels["command"],
+        torque=channels["torque"],
+        pose=channels["pose"],
         extra=extra,
         facts=table.facts,
         device=table.device,

@@ -46,9 +46,19 @@ def start(
 
 
 def split(problem: Problem) -> tuple[tuple[int, ...], tuple[int, ...]]:
-    """Return the recordings to fit, and every third, which is held out."""
-    total = len(problem.log.recordings)
-    heldout = tuple(i for i in range(total) if i % 3 == 2) or (total - 1,)
+    """Return the recordings to fit, and every third, which is held out.
+
+    Of three or more recordings that were cut, no part is fitted of one that is held
+    out.
+    """
+    recordings = problem.log.recordings
+    total = len(recordings)
+    whole = list(dict.fromkeys(one.cut_from or one.name for one in recordings))
+    if 3 <= len(whole) < total:
+        out = set(whole[2::3])
+        heldout = tuple(i for i in range(total) if recordings[i].cut_from in out)
+    else:
+        heldout = tuple(i for i in range(total) if i % 3 == 2) or (total - 1,)
     return tuple(i for i in range(total) if i not in heldout), heldout
 
 
