@@ -12,11 +12,12 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 from tensordict import TensorDictBase
+from torchrl.envs.batched_envs import BatchedEnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tqdm import tqdm
 
 from rlco import keys
-from rlco.envs import make_env
+from rlco.envs import check_action_units, make_env
 from rlco.envs.chunk_env import ChunkEnv
 from rlco.errors import ConfigError
 from rlco.physics.spec.domain import FINAL_DOMAINS, Domain, GivenDomain, make_domain
@@ -112,9 +113,14 @@ def evaluate(policy: Any, env: ChunkEnv, episodes: int) -> Evaluation:
 
     Args:
         policy: Writes `action`; its most likely action is taken.
-        env: Where to play; its batch is filled as often as needed.
+        env: Where to play, of `make_env`; its batch is filled as often as needed.
         episodes: M.
+
+    Raises:
+        ConfigError: The environment cannot start the episodes of its seed again.
+        RlcoError: The policy acts in other units than the environment takes.
     """
+    _check_played(policy, env)
     decisions = -(-env.horizon // env.chunk)
     (count,) = env.batch_size
     period = env.chunk / env.task.control_frequency
@@ -140,6 +146,19 @@ def evaluate(policy: Any, env: ChunkEnv, episodes: int) -> Evaluation:
         np.concatenate(ever)[:episodes],
         env.states_seed,
     )
+
+
+def _check_played(policy: Any, env: Any) -> None:
+    # Asked of a batched environment that is not started, hasattr never returns.
+    if isinstance(env, BatchedEnvBase) or not hasattr(env, "start_at"):
+        raise ConfigError(
+            [
+                "evaluate plays the first episodes of a seed, in environments of "
+                f"rlco.envs.make_env, and {type(env).__name__} cannot start them "
+                "again; play it with env.rollout(steps, policy) and read 'success'"
+            ]
+        )
+    check_action_units(policy, env)
 
 
 def result_rows(

@@ -9,6 +9,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.collectors import Collector
 from torchrl.envs import TransformedEnv
+from torchrl.envs.batched_envs import BatchedEnvBase
 from torchrl.envs.transforms import Compose, ExcludeTransform
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives.value import GAE
@@ -16,6 +17,7 @@ from torchrl.objectives.value import GAE
 from rlco import keys
 from rlco.collectors.advantages import Advantage, group_advantages, normalize
 from rlco.collectors.rollout_checks import FiniteRollout, check_computed
+from rlco.envs import check_action_units
 from rlco.envs.chunk_env import ChunkEnv
 from rlco.errors import ConfigError, DataError
 from rlco.policies import ValueHead
@@ -54,7 +56,8 @@ class RolloutCollector:
     Raises:
         ConfigError: "gae" without a critic, groups of one episode, or an environment
             of another kind.
-        RlcoError: The number of environments is not a multiple of ``group_size``.
+        RlcoError: The number of environments is not a multiple of ``group_size``, or
+            the policy acts in other units than the environment takes.
 
     Example:
         >>> from rlco.envs import make_env
@@ -82,6 +85,7 @@ class RolloutCollector:
         prepare: Callable[[TensorDictBase], None] | None = None,
     ) -> None:
         _check_env(env)
+        check_action_units(policy, env)
         _check(critic, advantage, group_size)
         self._prepare = prepare
         self._finite = FiniteRollout((policy, critic))
@@ -175,7 +179,9 @@ def _check_next(rollout: TensorDictBase, critic: Any) -> None:
 
 def _check_env(env: Any) -> None:
     """Check that an environment can start its k-th episode: iteration k plays that."""
-    missing = [name for name in _NEEDED if not hasattr(env, name)]
+    # Asked of a batched environment that is not started, hasattr never returns.
+    batched = isinstance(env, BatchedEnvBase)
+    missing = [name for name in _NEEDED if batched or not hasattr(env, name)]
     if missing:
         raise ConfigError(
             [

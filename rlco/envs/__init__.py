@@ -3,6 +3,7 @@
 import importlib
 from typing import TYPE_CHECKING, Any
 
+from rlco.envs.action_units import check_action_units as check_action_units
 from rlco.envs.canonical import canonical as canonical
 from rlco.envs.canonical import from_mujoco as from_mujoco
 from rlco.envs.canonical import from_vla as from_vla

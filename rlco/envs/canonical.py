@@ -1,19 +1,20 @@
 """Other TorchRL environments under rlco's keys, by transforms.
 
 What comes out has what `rlco.envs.make_env` gives: a batch [N], actions [N, H, A] in
-[-1, 1], the reward summed over a decision's executed steps, and the entries of
-`rlco.keys`. What learns or evaluates in one environment does so in all of them.
+[-1, 1] (or in the environment's own units), the reward summed over a decision's
+executed steps, and the entries of `rlco.keys`. What learns or evaluates in one
+environment does so in all of them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
-from torchrl.data import Bounded
+import torch
+from torchrl.data import Bounded, TensorSpec, Unbounded
 from torchrl.envs import EnvBase, SerialEnv, TransformedEnv
 from torchrl.envs.batched_envs import BatchedEnvBase
 from torchrl.envs.transforms import (
-    ActionScaling,
     BatchSizeTransform,
     CatTensors,
     Compose,
@@ -28,8 +29,10 @@ from rlco import keys
 from rlco.envs.transforms import (
     ActionChunk,
     Instruction,
+    ScaledActions,
     Success,
     SuccessFunction,
+    UnitRange,
 )
 from rlco.errors import RlcoError
 
@@ -45,11 +48,15 @@ def canonical(
     environment_state: Sequence[Key] = (),
     image: Key | None = None,
     channels_last: bool = False,
+    scale_actions: bool = True,
     horizon: int | None = None,
     num_envs: int = 1,
     chunk: int = 1,
 ) -> EnvBase:
     """Return worlds of any TorchRL environment, with the entries of `rlco.keys`.
+
+    What comes out has the attribute ``scales_actions``: whether [-1, 1] is mapped to
+    another range. A policy's units are checked against it by `check_action_units`.
 
     Args:
         make: Builds one environment with bounded actions: of batch size [] or [1], or
@@ -63,13 +70,18 @@ def canonical(
         environment_state: Entries that together are the environment's state.
         image: The entry that holds camera frames, uint8.
         channels_last: Whether frames are [height, width, C] rather than CHW.
+        scale_actions: True: actions are in [-1, 1], which is mapped to the bounds of
+            the environment's actions. False: they are in the environment's own units
+            (joint angles in degrees, say), as a policy with ``action_limit=None``
+            gives them; they need no bounds then, and none are enforced.
         horizon: Control steps after which an episode is truncated.
         num_envs: N, how many worlds are stepped one after the other.
         chunk: H, control steps a decision; a done ends the chunk.
 
     Raises:
-        RlcoError: If actions have no bounds, an entry is missing, a number is out of
-            range, or episodes would never be truncated.
+        RlcoError: If actions have no bounds to be scaled to, an entry is missing, a
+            number is out of range, or episodes would never be truncated. In a step, if
+            actions that are scaled lie ten times beyond [-1, 1].
 
     Example:
         >>> from torchrl.envs import GymEnv
@@ -92,13 +104,15 @@ def canonical(
     wanted += [] if callable(success) else [success]
     first = make()
     _check(first, wanted, horizon, num_envs)
+    _check_actions(first.action_spec, scale_actions)
+    scales = scale_actions and not _is_unit(first.action_spec)
+    looks = _unit_range(first.action_spec) if scales else None
 
     def transformed(env: EnvBase) -> EnvBase:
         parts = _renaming(state, environment_state, image, channels_last, success)
         parts.append(Instruction(instructions))
-        spec = env.action_spec
-        if not bool((spec.low == -1).all() and (spec.high == 1).all()):
-            parts.append(ActionScaling())
+        if looks is not None:
+            parts.append(ScaledActions(looks))
         if horizon is not None:
             parts.append(StepCounter(max_steps=horizon))
         return TransformedEnv(
@@ -106,7 +120,9 @@ def canonical(
         )
 
     if first.batch_size.numel() > 1:
-        return transformed(first)
+        batched = transformed(first)
+        batched.scales_actions = scales
+        return batched
     built = [first]
 
     # Chunks are executed by each world alone: one may end within its chunk.
@@ -119,7 +135,9 @@ def canonical(
             env = TransformedEnv(env, squeeze, auto_unwrap=False)
         return transformed(env)
 
-    return SerialEnv(num_envs, single, device="cpu")
+    worlds = SerialEnv(num_envs, single, device="cpu")
+    worlds.scales_actions = scales
+    return worlds
 
 
 def _renaming(
@@ -169,16 +187,37 @@ def _check(env: EnvBase, wanted: list[Key], horizon: int | None, num_envs: int) 
             f"the environment has no {missing[0]!r}; it has {', '.join(map(str, held))}"
             "."
         )
-    spec = env.action_spec
-    if not isinstance(spec, Bounded) or not bool(
-        spec.low.isfinite().all() and spec.high.isfinite().all()
-    ):
-        raise RlcoError(
-            f"the environment's actions are {type(spec).__name__}; rlco needs numbers "
-            "with finite bounds."
-        )
     if horizon is None and keys.TRUNCATED not in env.done_keys:
         raise RlcoError("the environment truncates no episode; give it a horizon=.")
+
+
+def _check_actions(spec: TensorSpec, scale_actions: bool) -> None:
+    kind = type(spec).__name__
+    if not isinstance(spec, Bounded | Unbounded) or not spec.dtype.is_floating_point:
+        raise RlcoError(
+            f"the environment's actions are {kind}; rlco needs numbers with finite "
+            "bounds."
+        )
+    bounded = isinstance(spec, Bounded) and bool(
+        torch.isfinite(spec.low).all() and torch.isfinite(spec.high).all()
+    )
+    if scale_actions and not bounded:
+        raise RlcoError(
+            f"the environment's actions are {kind} without finite bounds, to which "
+            "[-1, 1] could be scaled; give the environment bounds, or "
+            "scale_actions=False for actions in its own units."
+        )
+
+
+def _is_unit(spec: TensorSpec) -> bool:
+    """Return whether actions lie in [-1, 1] by themselves."""
+    return isinstance(spec, Bounded) and bool(
+        (spec.low == -1).all() and (spec.high == 1).all()
+    )
+
+
+def _unit_range(spec: Bounded) -> UnitRange:
+    return UnitRange(float(spec.low.min()), float(spec.high.max()))
 
 
 def from_vla(

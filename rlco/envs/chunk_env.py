@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from typing import Any, Literal, Protocol
+from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
 import torch
@@ -81,6 +81,8 @@ class ChunkEnv(EnvBase):
     """
 
     task: TaskInfo
+    #: [-1, 1] stands for the task's own range of moves; see `check_action_units`.
+    scales_actions: ClassVar[bool] = True
 
     def __init__(
         self,

@@ -28,6 +28,7 @@ def from_gymnasium(
     success: SuccessFunction | None = None,
     instructions: Sequence[str] | None = None,
     state: Sequence[Key] | None = None,
+    scale_actions: bool = True,
     horizon: int | None = None,
     num_envs: int = 1,
     chunk: int = 1,
@@ -47,6 +48,10 @@ def from_gymnasium(
             an empty one. ``info["instruction_id"]`` picks.
         state: Entries of a dictionary that together are the state, where it has no
             ``agent_pos``.
+        scale_actions: True: actions are in [-1, 1], which is mapped to the
+            environment's Box. False: they are in the environment's own units, for a
+            policy that acts in them (``action_limit=None``, what ``task=null`` trains):
+            an action of 2.9 then is 2.9 degrees where the Box is in degrees.
         horizon: Control steps after which an episode is truncated, beside what the
             environment does itself.
         num_envs: N, how many worlds are stepped one after the other.
@@ -88,6 +93,7 @@ def from_gymnasium(
         num_envs=num_envs,
         chunk=chunk,
         channels_last=True,
+        scale_actions=scale_actions,
         **sources,
     )
 

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 
 import torch
 from tensordict import NonTensorData, NonTensorStack, TensorDictBase
 from torchrl.data import (
-    Bounded,
     Categorical,
     Composite,
     NonTensor,
 )
-from torchrl.envs.transforms import MultiAction, Transform
+from torchrl.envs.transforms import ActionScaling, MultiAction, Transform
 
 from rlco import keys
 from rlco.errors import RlcoError
+from rlco.physics.spec.actions import FAR, LIMIT, TOLERANCE
+
+_logger = logging.getLogger(__name__)
 
 #: Observations [*B, ...] -> whether each state is solved, bool [*B] or [*B, 1].
 SuccessFunction = Callable[[TensorDictBase], torch.Tensor]
@@ -123,12 +126,68 @@ class Success(Transform):
         return observation_spec
 
 
+class UnitRange:
+    """Looks at actions that are about to be mapped from [-1, 1] to another range.
+
+    Those beyond [-1, 1] are mapped beyond that range, the first time with a warning.
+
+    Args:
+        low: Least number of the environment's own actions, for messages.
+        high: The greatest.
+    """
+
+    def __init__(self, low: float, high: float) -> None:
+        self.reach = f"{low:g} to {high:g}"
+        self._silent = False
+
+    def check(self, actions: torch.Tensor) -> None:
+        """Check actions (..., A).
+
+        Raises:
+            RlcoError: A number is ten times beyond [-1, 1], or more.
+        """
+        if not bool((actions.abs() > LIMIT + TOLERANCE).any()):
+            return
+        low, high = float(actions.min()), float(actions.max())
+        found = (
+            f"actions reach from {low:.4g} to {high:.4g}, but this environment maps "
+            f"[-1, 1] to its own range, {self.reach}"
+        )
+        advice = (
+            "build it with scale_actions=False where they are in its own units, as "
+            "those of a policy with action_limit=None are"
+        )
+        if max(-low, high) >= FAR:
+            raise RlcoError(f"{found}; {advice}, or scale them to [-1, 1].")
+        if not self._silent:
+            _logger.warning(
+                "%s; %s. Later ones are mapped without a word.", found, advice
+            )
+        self._silent = True
+
+
+class ScaledActions(ActionScaling):
+    """TorchRL's `ActionScaling`, which maps [-1, 1] to the environment's own range.
+
+    Args:
+        looks: Looks at the actions first; one for all worlds, so that it warns once.
+    """
+
+    def __init__(self, looks: UnitRange) -> None:
+        super().__init__()
+        self._looks = looks
+
+    def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
+        self._looks.check(tensordict.get(keys.ACTION))
+        return super()._inv_call(tensordict)
+
+
 class ActionChunk(MultiAction):
     """TorchRL's `MultiAction` with one reward a decision, over chunks of length H.
 
     `MultiAction` stacks the rewards of the executed steps, one more or less where an
     episode ends within a chunk. Here a decision's reward is their sum, [*B, 1],
-    and the specs say how long a chunk is: actions [*B, H, A] in [-1, 1].
+    and the specs say how long a chunk is: actions [*B, H, A], each as it was.
 
     Args:
         chunk: H, control steps a decision.
@@ -163,7 +222,8 @@ class ActionChunk(MultiAction):
         spec = input_spec["full_action_spec", keys.ACTION]
         (*lead, numbers) = spec.shape
         shape = (*lead, self.chunk, numbers)
-        input_spec["full_action_spec", keys.ACTION] = Bounded(-1.0, 1.0, shape)
+        chunks = spec.unsqueeze(-2).expand(shape).clone()
+        input_spec["full_action_spec", keys.ACTION] = chunks
         return input_spec
 
     def transform_output_spec(self, output_spec: Composite) -> Composite:
