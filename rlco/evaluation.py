@@ -24,6 +24,7 @@ from rlco.physics.spec.domain import FINAL_DOMAINS, Domain, GivenDomain, make_do
 from rlco.physics.tasks.named_task import check_domains
 from rlco.reporting.statistics import ResultRow, wilson_interval
 from rlco.reporting.video import write_video
+from rlco.training.imitation_errors import imitation_error as imitation_error
 
 if TYPE_CHECKING:
     pass
@@ -32,7 +33,6 @@ log = logging.getLogger("rlco.evaluation")
 
 # Initial states of evaluations come from seeds that no training reaches.
 EVALUATION_SEED = 1_000_003
-ROWS = 256  # of demonstrations with images that are evaluated at once
 
 
 @dataclass(frozen=True)
@@ -263,20 +263,6 @@ def _likely_actions(policy: Any, demos: Demonstrated) -> torch.Tensor:
         parts = [policy(part.clone())[keys.CHUNK] for part in frames.split(1024)]
     actions: torch.Tensor = policy.action_normalizer(torch.cat(parts))
     return actions
-
-
-def imitation_error(policy: Any, frames: TensorDictBase) -> float:
-    """Return the mean imitation loss a step on demonstrations, padding left out.
-
-    Args:
-        policy: Offers ``imitation_loss``.
-        frames: Observations, chunks and ``action_is_pad``, batch size (B,).
-    """
-    # All images at once would need gigabytes inside a network.
-    parts = frames.split(ROWS) if keys.IMAGE in policy.in_keys else [frames]
-    with torch.no_grad():
-        steps = torch.cat([policy.imitation_loss(part) for part in parts])
-    return float(steps[~frames[keys.IS_PAD]].mean())
 
 
 def evaluation_domains(

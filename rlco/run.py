@@ -29,10 +29,11 @@ from rlco.runs.whole_files import remove_parts, write_json, write_text
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
 
-    from rlco.reporting.statistics import ResultRow
+    from rlco.reporting.statistics import ImitationRow, ResultRow
 
 log = logging.getLogger("rlco.run")
-_SHOWN = ("success", "loss")  # what a row of metrics.csv shows beside the bar
+# What a row of metrics.csv shows beside the bar.
+_SHOWN = ("success", "loss", "imitation_error")
 
 
 #: Between lines on the progress of a run where there is no terminal for a bar [s].
@@ -205,10 +206,18 @@ class Run:
         """The folder for videos."""
         return _made(self.path / "videos")
 
-    def iterations(self, total: int) -> Iterator[int]:
+    def iterations(
+        self, total: int, progress: Callable[[int], str] | None = None
+    ) -> Iterator[int]:
         """Count the iterations that are left, 1 to ``total``, with a progress bar.
 
-        A resumed run gets its random state back before its first one.
+        A resumed run gets its random state back before its first one. Without a
+        terminal a line now and then, and one at the end, says how far it is.
+
+        Args:
+            total: Number of iterations.
+            progress: How far it is after an iteration, in words; by default
+                "3 of 15". An iteration of several updates may count those.
         """
         if self._rng is not None:
             from rlco.runs.state_files import set_rng_state
@@ -218,20 +227,23 @@ class Run:
         first = (self.step or 0) + 1
         said = time.perf_counter()
         with tqdm(
-            desc=self.recipe, total=total, initial=first - 1, disable=None
+            desc=self.recipe,
+            total=total,
+            initial=first - 1,
+            disable=None,
+            unit="it" if progress is None else "row",
         ) as self._bar:
             for iteration in range(first, total + 1):
                 yield iteration
                 self._bar.update()
-                if self._bar.disable and time.perf_counter() - said > QUIET:
+                late = time.perf_counter() - said > QUIET
+                if self._bar.disable and (late or iteration == total):
                     said = time.perf_counter()
-                    log.info(
-                        "%s: %d of %d, %s",
-                        self.recipe,
-                        iteration,
-                        total,
-                        self._progress_text,
-                    )
+                    done = f"{iteration} of {total}"
+                    if progress is not None:
+                        done = progress(iteration)
+                    text = ", ".join(filter(None, (done, self._progress_text)))
+                    log.info("%s: %s", self.recipe, text)
 
     @property
     def _progress_text(self) -> str:
@@ -299,11 +311,22 @@ class Run:
     def _last_checkpoint(self) -> Path:
         return _checkpoint_files(self.checkpoints)[-1]
 
-    def save_results(self, rows: Sequence[ResultRow]) -> None:
-        """Write results.json: what every evaluated policy reached."""
-        write_json(
-            self.path / "results.json", {"seconds": self.seconds, "rows": list(rows)}
-        )
+    def save_results(
+        self,
+        rows: Sequence[ResultRow],
+        *,
+        imitation: Sequence[ImitationRow] = (),
+    ) -> None:
+        """Write results.json: what every evaluated policy reached.
+
+        Args:
+            rows: What it reached in simulators.
+            imitation: How far it is from demonstrations.
+        """
+        content = {"seconds": self.seconds, "rows": list(rows)}
+        if imitation:
+            content["imitation"] = list(imitation)
+        write_json(self.path / "results.json", content)
 
     def stage[C: RunOptions](self, config: C, recipe: str, folder: str) -> Run:
         """Start a run inside this one, or go on with it where this one is resumed."""

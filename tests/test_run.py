@@ -372,3 +372,13 @@ def test_without_a_terminal_lines_tell_success_and_loss(
     assert "toy: 1 of 2, loss_bc 0.5, success_sim 0.25" in log
     # The last success that was measured stays.
     assert "toy: 2 of 2, loss_bc 0.25, success_sim 0.25" in log
+
+
+def test_without_a_terminal_the_end_is_told_in_the_callers_unit(tmp_path: Path) -> None:
+    logging.getLogger("rlco").setLevel(logging.INFO)
+    with Run(RunOptions(out=str(tmp_path / "run")), "toy") as run:
+        for iteration in run.iterations(3, lambda row: f"{row * 100} of 300 updates"):
+            run.log_metrics(iteration, {"loss_bc": 1.0 / iteration})
+    lines = (tmp_path / "run" / "log.txt").read_text().splitlines()
+    (line,) = [line for line in lines if "toy: " in line]
+    assert line.endswith("toy: 300 of 300 updates, loss_bc 0.333")

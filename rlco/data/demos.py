@@ -263,7 +263,7 @@ def _check_sizes(folder: LeRobotFolder, sizes: Mapping[str, int | None]) -> None
                 f"feature {name!r} of data set {str(folder.path)!r} has "
                 f"{feature.size} numbers, but {size} are expected; give a data set of "
                 "the same robot and task, or rename= the feature that is meant (sft "
-                "trains on another robot's data with task=null eval_episodes=0)."
+                "trains on another robot's data with task=null)."
             )
 
 

@@ -39,6 +39,25 @@ class ResultRow(TypedDict):
     states_seed: NotRequired[int]
 
 
+class ImitationRow(TypedDict):
+    """One policy on one data set: an entry under ``imitation`` of ``results.json``.
+
+    ``imitation_error`` is the policy's own imitation loss a control step.
+    ``action_error`` is how far its most likely actions are from the demonstrated ones:
+    the mean absolute difference of each action number, in the data's own unit.
+    """
+
+    method: str
+    task: str | None
+    policy: str
+    seed: int
+    data: str
+    path: str
+    frames: int
+    imitation_error: float
+    action_error: dict[str, float]
+
+
 class Interval(NamedTuple):
     """An estimate and the ends of its confidence interval."""
 

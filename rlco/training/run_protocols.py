@@ -6,7 +6,7 @@ layer, so loops are given them and know them by what they do.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -20,7 +20,9 @@ class TrainingRun(Protocol):
     path: Path
     step: int | None  # the last iteration that a checkpoint holds
 
-    def iterations(self, total: int) -> Iterator[int]:
+    def iterations(
+        self, total: int, progress: Callable[[int], str] | None = None
+    ) -> Iterator[int]:
         """Count the iterations that are left."""
 
     def log_metrics(self, step: int, row: Mapping[str, Any]) -> None:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rlco.errors import ConfigError
 from rlco.runs.config import option
-from rlco.runs.indices import index_list
+from rlco.runs.indices import format_indices, index_list
 from rlco.runs.options import rename_map
 from rlco.training import policy_options
 from rlco.training.policy_options import LARGEST_LR, SIM_CAMERA, PolicyOptions
@@ -21,6 +22,11 @@ if TYPE_CHECKING:
     from rlco.policies import ChunkPolicy
     from rlco.training.run_protocols import TrainingRun
 
+
+log = logging.getLogger("rlco.training")
+
+#: What ``sim_ratio=null`` and ``eval_episodes=null`` stand for with a simulator.
+SIM_RATIO, EVAL_EPISODES = 0.5, 128
 
 type AnyTask = Task | RobosuiteTask | RecordedTask
 
@@ -41,12 +47,24 @@ class StageOneOptions(PolicyOptions):
     )
     sim_episodes: str = option("", "the same of sim_demos")
     rename: str = option(
-        "", "features of real_demos with other names: THEIRS:OURS,THEIRS:OURS"
+        "",
+        "features of real_demos, and of heldout_demos, with other names: "
+        "THEIRS:OURS,THEIRS:OURS",
     )
     real_camera: str | None = option(
-        None, "camera of real_demos that is read; null: its only one"
+        None, "camera of these and of heldout_demos that is read; null: its only one"
     )
-    sim_ratio: float = option(0.5, "alpha, the share of sim", minimum=0, maximum=1)
+    heldout_demos: str | None = option(
+        None, "LeRobot folder of real demonstrations to measure imitation on"
+    )
+    heldout_episodes: str = option("", "episodes of heldout_demos; empty: all")
+    sim_ratio: float | None = option(
+        None,
+        f"alpha, the share of sim; null: {SIM_RATIO}, with task=null and no sim_demos "
+        "0",
+        minimum=0,
+        maximum=1,
+    )
     chunk: int = option(4, "control steps of an action chunk", minimum=1)
     hidden: list[int] = option([256, 256], "width of each hidden layer", minimum=1)
     updates: int = option(1500, "optimiser steps", minimum=1)
@@ -59,7 +77,11 @@ class StageOneOptions(PolicyOptions):
         maximum=LARGEST_LR,
     )
     weight_decay: float = option(1e-4, "AdamW's weight decay", minimum=0)
-    eval_episodes: int = option(128, "episodes of the evaluation; 0: none", minimum=0)
+    eval_episodes: int | None = option(
+        None,
+        f"episodes of the evaluation; 0: none; null: {EVAL_EPISODES}, with task=null 0",
+        minimum=0,
+    )
     eval_domains: list[str] = option(
         ["sim", "stand_in"],
         "domains to evaluate in: names, MODULE:NAME, or paths of effects.yaml files",
@@ -68,6 +90,20 @@ class StageOneOptions(PolicyOptions):
         None, "Python file that registers effects of your own"
     )
 
+    @property
+    def alpha(self) -> float:
+        """The share of simulated samples: ``sim_ratio``, or what null stands for."""
+        if self.sim_ratio is not None:
+            return self.sim_ratio
+        return 0.0 if self.task is None and self.sim_demos is None else SIM_RATIO
+
+    @property
+    def evaluated(self) -> int:
+        """Episodes of the evaluation: ``eval_episodes``, or what null stands for."""
+        if self.eval_episodes is not None:
+            return self.eval_episodes
+        return 0 if self.task is None else EVAL_EPISODES
+
 
 class StageOneDemos(NamedTuple):
     """A task and demonstrations of it for Stage I; None where they have no share."""
@@ -75,9 +111,10 @@ class StageOneDemos(NamedTuple):
     task: AnyTask
     sim: DemoReplayBuffer | None
     real: DemoReplayBuffer | None
+    heldout: DemoReplayBuffer | None = None
 
     def present(self) -> list[DemoReplayBuffer]:
-        """Return those that there are."""
+        """Return those that are trained on."""
         return [demos for demos in (self.sim, self.real) if demos is not None]
 
 
@@ -95,16 +132,20 @@ def task_of(options: StageOneOptions) -> AnyTask:
 
     if options.task is not None:
         return named_task(options.task)
-    if options.eval_episodes:
+    if options.evaluated:
         raise ConfigError(
-            ["task=null has no simulator to evaluate in; give eval_episodes=0 with it"]
+            [
+                f"task=null has no simulator for eval_episodes={options.evaluated}; "
+                "leave it out, or give eval_episodes=0"
+            ]
         )
-    renames = {"sim_demos": {}, "real_demos": rename_map(options.rename)}
+    theirs = rename_map(options.rename)
+    renames = {"sim_demos": {}, "real_demos": theirs, "heldout_demos": theirs}
     return recorded_task(
         {
-            name: read_folder(getattr(options, name), rename=rename)
-            for name, rename in renames.items()
-            if _needs(options)[name]
+            name: read_folder(getattr(options, name), rename=renames[name])
+            for name, need in _needs(options).items()
+            if need
         }
     )
 
@@ -123,7 +164,7 @@ def check_stage_one(
     """Check what the options say of each other; return a policy that they describe."""
     policy_options.check_image_options(options)
     policy = new_policy(options, task)
-    if options.eval_episodes and options.eval_domains and options.task is not None:
+    if options.evaluated and options.eval_domains and options.task is not None:
         policy_options.check_rendered(policy, options.task)
     return policy
 
@@ -140,10 +181,15 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
     needed = _needs(options)
     task = None if options.task is None else task_of(options)
     problems = [
-        f"sim_ratio={options.sim_ratio} needs {name}=FOLDER"
+        f"sim_ratio={options.alpha} needs {name}=FOLDER"
         for name, need in needed.items()
         if need and getattr(options, name) is None
     ]
+    if options.heldout_episodes and options.heldout_demos is None:
+        problems.append(
+            f"heldout_episodes={options.heldout_episodes} needs heldout_demos=FOLDER, "
+            "which may be that of real_demos"
+        )
     if problems:
         raise ConfigError(problems)
     task = task or task_of(options)
@@ -168,18 +214,46 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
 
     # A set that was not recorded by rlco has a camera of another name, or one alone.
     sim_camera = SIM_CAMERA if options.task is not None else None
+    real = (options.rename, options.real_camera)
     demos = StageOneDemos(
         task,
         sim=load("sim_demos", options.sim_episodes, "", sim_camera),
-        real=load("real_demos", options.episodes, options.rename, options.real_camera),
+        real=load("real_demos", options.episodes, *real),
+        heldout=load("heldout_demos", options.heldout_episodes, *real),
     )
+    check_held_out(demos)
     policy_options.augment(options, *demos.present())
     return demos
 
 
+def check_held_out(demos: StageOneDemos) -> None:
+    """Check that no held-out episode is trained on.
+
+    Raises:
+        ConfigError: Some are.
+    """
+    if demos.heldout is None:
+        return
+    held = demos.heldout.meta
+    for one in demos.present():
+        both = set(one.meta.episodes) & set(held.episodes)
+        if one.meta.path.resolve() == held.path.resolve() and both:
+            raise ConfigError(
+                [
+                    f"episodes {format_indices(both)} of {str(held.path)!r} are both "
+                    "trained on and held out; part them by episodes= and "
+                    "heldout_episodes="
+                ]
+            )
+
+
 def _needs(options: StageOneOptions) -> dict[str, bool]:
-    """Return which data sets have a share in training, by their options' names."""
-    return {"sim_demos": options.sim_ratio > 0, "real_demos": options.sim_ratio < 1}
+    """Return which data sets are read, by their options' names."""
+    return {
+        "sim_demos": options.alpha > 0,
+        "real_demos": options.alpha < 1,
+        "heldout_demos": options.heldout_demos is not None,
+    }
 
 
 def train_stage_one(
@@ -197,20 +271,20 @@ def train_stage_one(
     buffer = SimRealReplayBuffer(
         demos.sim,
         demos.real,
-        sim_ratio=options.sim_ratio,
+        sim_ratio=options.alpha,
         batch_size=options.batch_size,
     )
     loss = CoTrainingLoss(
         ImitationLoss(policy) if demos.sim is not None else None,
         ImitationLoss(policy) if demos.real is not None else None,
-        sim_coeff=options.sim_ratio,
-        real_coeff=1.0 - options.sim_ratio,
+        sim_coeff=options.alpha,
+        real_coeff=1.0 - options.alpha,
     )
-    imitate(options, run, policy, loss, buffer)
+    imitate(options, run, policy, loss, buffer, demos.heldout)
     save_policy(
         policy,
         run.path / "policy",
-        extra={"sim_ratio": options.sim_ratio, **demos.task.description()},
+        extra={"sim_ratio": options.alpha, **demos.task.description()},
     )
     return policy
 
@@ -242,8 +316,11 @@ def imitate(
     policy: ChunkPolicy,
     loss: CoTrainingLoss,
     buffer: SimRealReplayBuffer,
+    heldout: DemoReplayBuffer | None = None,
 ) -> None:
     """Follow the loss for ``updates`` steps, from the run's last checkpoint on.
+
+    Each row of metrics.csv has ``imitation_error_heldout`` where there is ``heldout``.
 
     Raises:
         NonFiniteError: The loss, its gradient or a weight is NaN or infinite. No step
@@ -252,6 +329,7 @@ def imitate(
     import torch
 
     from rlco.finite import check_step, check_weights, gradient_norm
+    from rlco.training.imitation_errors import fixed_imitation_error
 
     optimizer = torch.optim.AdamW(
         loss.parameters(), lr=options.lr, weight_decay=options.weight_decay
@@ -262,7 +340,13 @@ def imitate(
         optimizer.load_state_dict(saved["optimizer"])
         schedule.load_state_dict(saved["schedule"])
         buffer.load_state_dict(saved["buffer"])
-    for block in run.iterations(-(-options.updates // options.log_every)):
+    blocks = -(-options.updates // options.log_every)
+
+    def progress(block: int) -> str:
+        done = min(block * options.log_every, options.updates)
+        return f"{done} of {options.updates} updates"
+
+    for block in run.iterations(blocks, progress):
         done = (block - 1) * options.log_every
         totals: dict[str, float] = {}
         for index in range(count := min(options.log_every, options.updates - done)):
@@ -277,6 +361,9 @@ def imitate(
             for name, value in terms.items():
                 totals[name] = totals.get(name, 0.0) + float(value.detach()) / count
         check_weights(update, {"policy": policy})
+        if heldout is not None:
+            error = fixed_imitation_error(policy, heldout.frames())
+            totals["imitation_error_heldout"] = error
         run.log_metrics(block, {"updates": done + count, **totals})
         run.save_checkpoint(
             block,

@@ -16,7 +16,8 @@ from rlco.policies import load_policy
 from rlco.runs.metrics import read_metrics
 
 Capture = pytest.CaptureFixture[str]
-OWN = ("task=null", "sim_ratio=0", *SFT)
+#: sim_ratio and eval_episodes follow from task=null.
+OWN = ("task=null", *(o for o in SFT if not o.startswith("eval_episodes")))
 
 
 @pytest.mark.slow
@@ -62,7 +63,9 @@ def test_only_the_episodes_asked_for_are_trained_on(tmp_path: Path) -> None:
     [
         (["episodes=9"], ["episodes=[9]", "0-1"]),
         (["episodes=1-0"], ["'1-0'", "0-19,25"]),
-        (["eval_episodes=4"], ["task=null", "eval_episodes=0"]),
+        (["eval_episodes=4"], ["task=null", "eval_episodes=4", "eval_episodes=0"]),
+        (["sim_ratio=0.5"], ["sim_ratio=0.5 needs sim_demos=FOLDER"]),
+        (["heldout_episodes=1"], ["heldout_episodes=1 needs heldout_demos=FOLDER"]),
     ],
 )
 def test_what_such_a_robot_cannot_have(
@@ -78,12 +81,75 @@ def test_what_such_a_robot_cannot_have(
     assert not out.exists()
 
 
+def test_what_is_held_out_is_not_trained_on(tmp_path: Path, capsys: Capture) -> None:
+    data = write_arm(tmp_path / "arm", episodes=4)
+    given = [f"real_demos={data}", f"heldout_demos={data}", f"out={tmp_path / 'run'}"]
+    line = refused(capsys, "sft", *OWN, *given, "episodes=0-2", "heldout_episodes=2,3")
+    assert "episodes 2 of" in line
+    assert "heldout_episodes=" in line
+
+
+def test_a_held_out_robot_must_be_the_same(tmp_path: Path, capsys: Capture) -> None:
+    six = write_arm(tmp_path / "six")
+    five = write_arm(tmp_path / "five", joints=5)
+    given = [f"real_demos={six}", f"heldout_demos={five}", f"out={tmp_path / 'run'}"]
+    line = refused(capsys, "sft", *OWN, *given)
+    assert "heldout_demos has 5" in line
+
+
+def test_errors_on_held_out_demonstrations_are_known_in_degrees(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    data = write_arm(tmp_path / "arm", scale=90.0, episodes=3)
+    out = tmp_path / "run"
+    start(
+        "sft",
+        *OWN,
+        f"real_demos={data}",
+        "episodes=0-1",
+        f"heldout_demos={data}",
+        "heldout_episodes=2",
+        f"out={out}",
+    )
+    policy, _ = load_policy(out / "policy")
+    frames = load_demos(data, chunk=4, episodes=[2]).frames()
+    frames["instruction_id"].zero_()
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        acted = policy(frames.select(*policy.in_keys))["action"]
+    off = (acted - frames["vla_action", "chunk"]).abs()[~frames["action_is_pad"]]
+    result = json.loads((out / "results.json").read_text())
+    assert result["rows"] == []  # no success was counted, as compare and report know
+    train, held = result["imitation"]
+    assert (train["data"], held["data"]) == ("real_demos", "heldout_demos")
+    assert (train["frames"], held["frames"]) == (24, 12)
+    assert held["task"] is None
+    expected = {f"joint{i}": error for i, error in enumerate(off.mean(0).tolist())}
+    assert held["action_error"] == pytest.approx(expected, rel=1e-4)
+    last = read_metrics(out / "metrics.csv")[-1]
+    assert last["imitation_error_heldout"] == pytest.approx(held["imitation_error"])
+    said = capsys.readouterr().err
+    assert f"heldout_demos: imitation error {held['imitation_error']:.3g}" in said
+    assert "sft: 6 of 6 updates" in said
+
+
+def test_measuring_held_out_errors_changes_no_training(tmp_path: Path) -> None:
+    data = write_arm(tmp_path / "arm", episodes=3)
+    given = [*OWN, "policy=flow", f"real_demos={data}", "episodes=0-1"]
+    held = [f"heldout_demos={data}", "heldout_episodes=2"]
+    for name, more in {"without": [], "with": held}.items():
+        start("sft", *given, *more, f"out={tmp_path / name}")
+    weights = [
+        (tmp_path / name / "policy" / "policy.safetensors").read_bytes()
+        for name in ("without", "with")
+    ]
+    assert weights[0] == weights[1]
+
+
 def test_two_robots_do_not_mix(tmp_path: Path, capsys: Capture) -> None:
     six = write_arm(tmp_path / "six")
     five = write_arm(tmp_path / "five", joints=5)
-    rest = [o for o in OWN if not o.startswith("sim_ratio")]
     given = [f"sim_demos={six}", f"real_demos={five}", f"out={tmp_path / 'run'}"]
-    line = refused(capsys, "sft", *rest, *given)
+    line = refused(capsys, "sft", *OWN, *given)
     assert "sim_demos has 6 numbers in 'observation.state' and real_demos has 5" in line
 
 

@@ -26,7 +26,7 @@ class Diary:
         self.happened: list[Any] = []
 
     # The run.
-    def iterations(self, total: int) -> Iterator[int]:
+    def iterations(self, total: int, progress: Any = None) -> Iterator[int]:
         yield from range(1 if self.saved is None else self.saved + 1, total + 1)
 
     def load_checkpoint(self) -> Any:
