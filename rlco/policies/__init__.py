@@ -11,6 +11,9 @@ from rlco.policies.small.checkpoint import save_policy as save_policy
 from rlco.policies.small.chunk_policy import ChunkPolicy as ChunkPolicy
 from rlco.policies.small.flow import FlowPolicy as FlowPolicy
 from rlco.policies.small.gaussian import GaussianPolicy as GaussianPolicy
+from rlco.policies.small.observation_check import (
+    check_observations as check_observations,
+)
 from rlco.policies.small.registry import make_policy as make_policy
 from rlco.policies.small.task_compat import load_task_policy as load_task_policy
 from rlco.policies.small.task_compat import task_sizes as task_sizes

@@ -63,6 +63,7 @@ class ObservationEncoder(nn.Module):
 
     Raises:
         ConfigError: nothing to read, or a negative size.
+        DataError: a call lacks an entry, or gives an instruction that there is not.
         CheckpointError: the image encoder's weights cannot be loaded.
 
     Example:
@@ -154,9 +155,22 @@ class ObservationEncoder(nn.Module):
         if self.num_instructions:
             chosen = read(tensordict, INSTRUCTION_ID)
             dtype = parts[0].dtype if parts else torch.get_default_dtype()
-            one_hot = functional.one_hot(chosen, self.num_instructions).to(dtype)
+            one_hot = self._one_hot(chosen).to(dtype)
             parts += [
                 (one_hot.unsqueeze(-1) * one.unsqueeze(-2)).flatten(-2) for one in scene
             ]
             parts.append(one_hot)
         return torch.cat(parts, dim=-1)
+
+    def _one_hot(self, chosen: torch.Tensor) -> torch.Tensor:
+        try:
+            return functional.one_hot(chosen, self.num_instructions)
+        except RuntimeError as error:
+            count = self.num_instructions
+            given = sorted(set(chosen.flatten().tolist()))
+            raise DataError(
+                f"instruction_id is {', '.join(map(str, given))} ({chosen.dtype}), but "
+                f"the policy was built for {count} instructions; give whole numbers "
+                f"(torch.int64) from 0 to {count - 1}, the order of the instructions "
+                "that were saved with it."
+            ) from error

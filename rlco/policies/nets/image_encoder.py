@@ -175,8 +175,8 @@ class ImageEncoder(nn.Module):
         if images.dtype != torch.uint8 or images.shape[-3:] != wanted:
             raise DataError(
                 f"images are {images.dtype} of shape {tuple(images.shape[-3:])}, the "
-                f"policy was built for torch.uint8 of shape {wanted}; give the "
-                f"environment and the data set image_size={self.size}."
+                f"policy was built for torch.uint8 of shape {wanted}; "
+                f"{' and '.join(_advice(images, self.size))}."
             )
         batch = images.shape[:-3]
         dtype = next(self.points.parameters()).dtype
@@ -188,6 +188,27 @@ class ImageEncoder(nn.Module):
         ]
         out = torch.cat(found, -1).view(*batch, self.features)
         return out.to(torch.promote_types(out.dtype, torch.float32))
+
+
+def _advice(images: torch.Tensor, size: tuple[int, int]) -> list[str]:
+    """Say what makes images those that a policy reads, in the order to do it."""
+    advice = []
+    shape = tuple(images.shape[-3:])
+    if images.is_floating_point():
+        advice.append("turn fractions to bytes, (255 * image).round().to(torch.uint8)")
+    elif images.dtype != torch.uint8:
+        advice.append("give bytes, image.to(torch.uint8)")
+    if len(shape) == 3 and shape[0] != 3 and shape[-1] == 3:
+        advice.append("put colours first, image.movedim(-1, -3)")
+        shape = (shape[-1], *shape[:-1])
+    if len(shape) < 3 or shape[0] != 3:
+        advice.append("give RGB images [*B, 3, height, width]")
+    elif shape[1:] != size:
+        advice.append(
+            f"scale them as the data were, rlco.data.resize.resized(images, {size}) "
+            f"(environments and data sets: image_size={size})"
+        )
+    return advice
 
 
 def check_image(kind: str, size: Sequence[int], weights: str | None) -> None:

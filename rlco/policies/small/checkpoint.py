@@ -16,6 +16,7 @@ from torch import nn
 from rlco.errors import CheckpointError, RlcoError
 from rlco.finite import check_loaded, check_saved
 from rlco.policies.small.chunk_policy import ChunkPolicy
+from rlco.policies.small.observation_check import check_observations
 from rlco.policies.small.registry import make_policy
 
 WEIGHTS = "policy.safetensors"
@@ -78,9 +79,28 @@ def load_policy(
 ) -> tuple[ChunkPolicy, dict[str, Any]]:
     """Return the policy in ``folder``, and the ``extra`` that was saved with it.
 
+    Called with an observation it refuses NaN and infinity, and warns of numbers far
+    from those of its training data, see `rlco.policies.check_observations`.
+
     Raises:
         CheckpointError: a file is missing or damaged, the two do not belong together,
             or a weight is NaN or infinite.
+    """
+    policy, extra = load_unchecked(folder)
+    names = {
+        name: extra.get(f"{name}_names") or ()
+        for name in ("state", "environment_state")
+    }
+    check_observations(policy, names)
+    return policy, extra
+
+
+def load_unchecked(
+    folder: str | os.PathLike[str],
+) -> tuple[ChunkPolicy, dict[str, Any]]:
+    """Load as `load_policy` does; the policy does not look at its observations.
+
+    For training and evaluation in a simulator, which check whole rollouts.
     """
     path = Path(folder)
     description = _read_description(path / DESCRIPTION)
@@ -131,7 +151,7 @@ def _read_description(path: Path) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         raise CheckpointError(
             f"cannot read {str(path)!r} ({error}); give the folder of a saved policy, "
-            f"with {WEIGHTS} and {DESCRIPTION}."
+            f"with {WEIGHTS} and {DESCRIPTION}{_nearby(path.parent)}."
         ) from error
     if not isinstance(description, dict) or not set(_FIELDS) <= set(description):
         raise CheckpointError(
@@ -141,6 +161,18 @@ def _read_description(path: Path) -> dict[str, Any]:
     if not isinstance(description["arguments"], dict):
         raise CheckpointError(f"{str(path)!r}: arguments must be a mapping.")
     return description
+
+
+def _nearby(folder: Path) -> str:
+    """Name the policies that were meant by a run's folder, or by one of their files."""
+    if folder.is_file():
+        found = [folder.parent / DESCRIPTION]
+    else:
+        found = []
+        for depth in ("*", "*/*", "*/*/*"):
+            found += sorted(folder.glob(f"{depth}/{DESCRIPTION}"))
+    shown = [repr(str(file.parent)) for file in found if file.is_file()]
+    return f", such as {' or '.join(shown[:3])}" if shown else ""
 
 
 def _differences(

@@ -6,7 +6,7 @@ import os
 from typing import Any, Protocol
 
 from rlco.errors import CheckpointError
-from rlco.policies.small.checkpoint import load_policy
+from rlco.policies.small.checkpoint import load_unchecked
 from rlco.policies.small.chunk_policy import ChunkPolicy
 
 
@@ -59,7 +59,7 @@ def load_task_policy(
     Raises:
         CheckpointError: it cannot be loaded, or reads something else.
     """
-    policy, extra = load_policy(folder)
+    policy, extra = load_unchecked(folder)
     if "task" in extra and extra["task"] is None:
         raise CheckpointError(
             f"policy {str(folder)!r} was trained without a simulator (task=null), and "

@@ -17,7 +17,7 @@ from rlco import keys
 from rlco.data.resize import resized
 from rlco.errors import ConfigError, DataError, suggest
 from rlco.losses import ImitationLoss
-from rlco.policies import make_policy
+from rlco.policies import check_observations, make_policy
 
 
 class RlcoPolicy(PreTrainedPolicy):
@@ -35,6 +35,7 @@ class RlcoPolicy(PreTrainedPolicy):
         super().__init__(config)
         self.config = config
         self.actor = make_policy(config.kind, **json.loads(config.arguments))
+        check_observations(self.actor)
         self.reset()
 
     def get_optim_params(self) -> Any:
