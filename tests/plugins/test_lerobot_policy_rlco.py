@@ -9,7 +9,7 @@ import pytest
 import torch
 from lerobot.configs import PreTrainedConfig
 from lerobot.policies.factory import get_policy_class, make_pre_post_processors
-from lerobot_policy_rlco.export import export_policy
+from lerobot_policy_rlco.export import export_policy, main
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
@@ -140,6 +140,47 @@ def test_a_robot_that_does_not_see_the_objects_is_told_so(
         DataError, match=r"reads observation.environment_state.*gives observation.state"
     ):
         theirs.select_action(given)
+
+
+@pytest.mark.parametrize(
+    ("extra", "image", "command"),
+    [
+        (
+            {"task": None, "control_frequency": 30, "instructions": ["sort it"]},
+            None,
+            "lerobot-rollout --policy.path=OUT --robot.type=ROBOT --fps=30 "
+            "'--task=sort it'",
+        ),
+        (
+            {"task": None, "control_frequency": 12.5, "instructions": []},
+            {"kind": "conv", "size": (64, 64)},
+            "lerobot-rollout --policy.path=OUT --robot.type=ROBOT "
+            "'--robot.cameras={wrist: ...}' --fps=12.5",
+        ),
+        (
+            {"task": "open_drawer"},
+            {"kind": "conv", "size": (64, 64)},
+            "lerobot-eval --policy.path=OUT --env.type=rlco --env.task=open_drawer "
+            "--env.camera=wrist",
+        ),
+    ],
+)
+def test_the_command_that_follows_runs_it_where_it_can_run(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    extra: dict[str, Any],
+    image: Any,
+    command: str,
+) -> None:
+    policy = make_policy("gaussian", state_size=3, chunk=4, hidden=(4,), image=image)
+    save_policy(policy, tmp_path / "ours", extra=extra)
+    out = tmp_path / "theirs"
+    words = ["rlco-to-lerobot", str(tmp_path / "ours"), str(out), "wrist"]
+    monkeypatch.setattr("sys.argv", words)
+    main()
+    said = capsys.readouterr().out.strip().splitlines()[-1]
+    assert said == command.replace("OUT", str(out))
 
 
 def test_a_policy_that_sees_reads_lerobots_camera(tmp_path: Path) -> None:

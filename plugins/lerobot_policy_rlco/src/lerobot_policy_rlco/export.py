@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import sys
 from pathlib import Path
 from typing import Any
@@ -71,14 +72,44 @@ def export_policy(
     return path
 
 
+def next_command(
+    policy: str | os.PathLike[str], folder: Path, *, camera: str = "front"
+) -> str:
+    """Return the command of LeRobot's that runs an exported policy.
+
+    In the simulator that it was trained for; on the robot where there is none.
+
+    Args:
+        policy: the folder that a recipe saved.
+        folder: what `export_policy` returned.
+        camera: as it was exported.
+    """
+    actor, extra = load_policy(policy)
+    if extra.get("task") is not None:
+        words = ["lerobot-eval", "--env.type=rlco", f"--env.task={extra['task']}"]
+        words += [f"--env.camera={camera}"] if actor.image_size else []
+    else:
+        words = ["lerobot-rollout", "--robot.type=ROBOT"]
+        if actor.image_size:
+            words.append(f"--robot.cameras={{{camera}: ...}}")
+        if rate := extra.get("control_frequency"):
+            words.append(f"--fps={rate:g}")
+        if texts := extra.get("instructions"):
+            words.append(f"--task={texts[0]}")
+    words.insert(1, f"--policy.path={folder}")
+    return shlex.join(words)
+
+
 def main() -> None:
     """Run ``rlco-to-lerobot POLICY FOLDER [CAMERA]``."""
     if len(sys.argv) not in (3, 4):
         sys.exit("usage: rlco-to-lerobot POLICY FOLDER [CAMERA]")
     policy, folder, *camera = sys.argv[1:]
     try:
-        path = export_policy(policy, folder, camera=camera[0] if camera else "front")
+        seen = camera[0] if camera else "front"
+        path = export_policy(policy, folder, camera=seen)
+        command = next_command(policy, path, camera=seen)
     except RlcoError as error:
         sys.stderr.write(f"error: {error}\n")
         sys.exit(2)
-    sys.stdout.write(f"lerobot-eval --policy.path={path} --env.type=rlco\n")
+    sys.stdout.write(f"{command}\n")
