@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import contextlib
+import logging
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -172,16 +174,32 @@ def load_demos(
         else LazyMemmapStorage(total, scratch_dir=str(memmap))
     )
     buffer = DemoReplayBuffer(_meta(folder, texts, chunk, camera), storage)
-    if camera is None:
-        buffer.extend(rows)
-        return buffer
-    start = 0
-    for images in images_of(folder, camera, image_size):
-        # One episode at a time: a memory map never holds all images in memory.
-        part = rows[start : start + len(images)].set(IMAGE, images)
-        buffer.extend(part)
-        start += len(images)
+    with _without_storage_lines():
+        if camera is None:
+            buffer.extend(rows)
+            return buffer
+        start = 0
+        for images in images_of(folder, camera, image_size):
+            # One episode at a time: a memory map never holds all images in memory.
+            part = rows[start : start + len(images)].set(IMAGE, images)
+            buffer.extend(part)
+            start += len(images)
     return buffer
+
+
+@contextlib.contextmanager
+def _without_storage_lines() -> Iterator[None]:
+    """Leave out what TorchRL logs as a storage gets its first rows, and no more."""
+
+    def other(record: logging.LogRecord) -> bool:
+        return not str(record.msg).startswith("Initialized Lazy")
+
+    logger = logging.getLogger("torchrl")
+    logger.addFilter(other)
+    try:
+        yield
+    finally:
+        logger.removeFilter(other)
 
 
 def chunk_indices(

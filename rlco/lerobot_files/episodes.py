@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, Literal, NoReturn
@@ -149,11 +150,16 @@ def select(
         wanted = there or None
     indices = list(by_index if wanted is None else wanted)
     unknown = [index for index in indices if index not in by_index]
-    if unknown or not indices or len(set(indices)) < len(indices):
-        given = f"{indices[:9]}{' and more' if len(indices) > 9 else ''}"
+    twice = {index for index, count in Counter(indices).items() if count > 1}
+    if unknown or not indices or twice:
+        culprit = "asks for none"
+        if unknown:
+            culprit = f"asks for {format_indices(set(unknown))}, which it does not have"
+        elif twice:
+            culprit = f"asks for {format_indices(twice)} more than once"
         raise DataError(
-            f"episodes={given} does not fit data set {str(path)!r}; give different "
-            f"indices, at least one, out of {format_indices(by_index)}."
+            f"episodes={format_indices(indices)} of data set {str(path)!r} {culprit}; "
+            f"give different indices, at least one, out of {format_indices(by_index)}."
         )
     present = {episode.index for episode in listed if episode.data_file.is_file()}
     missing = [index for index in indices if index not in present]

@@ -82,11 +82,27 @@ def read_folder(
     )
 
 
+def _nearby(path: Path) -> str:
+    """Name the data set that an inner folder, or one that holds it, was given for."""
+    above = [path.resolve().parent, *path.resolve().parents[1:3]]
+    inside = sorted(file.parents[1] for file in path.glob("*/meta/info.json"))
+    for folder in above:
+        if (folder / "meta" / "info.json").is_file():
+            levels = above.index(folder) + 1
+            meant = Path(*path.parts[:-levels]) if len(path.parts) > levels else folder
+            return f"; give the folder above it that has, {str(meant)!r}"
+    if inside:
+        shown = " or ".join(repr(str(one)) for one in inside[:3])
+        return f"; give one inside it that has, such as {shown}"
+    return ""
+
+
 def _read_info(path: Path) -> dict[str, Any]:
     file = path / "meta" / "info.json"
     if not file.is_file():
         raise DataError(
-            f"folder {str(path)!r} is not a LeRobot data set: it has no meta/info.json."
+            f"folder {str(path)!r} is not a LeRobot data set: it has no meta/info.json"
+            f"{_nearby(path)}."
         )
     try:
         info = json.loads(file.read_text())

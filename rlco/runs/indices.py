@@ -7,8 +7,12 @@ from collections.abc import Iterable
 from rlco.errors import ConfigError
 
 
-def index_list(text: str) -> list[int] | None:
+def index_list(text: str, option: str = "episodes") -> list[int] | None:
     """Read indices and ranges, ``0-19,25``; None where nothing is given.
+
+    Args:
+        text: Of an option.
+        option: Its name.
 
     Raises:
         ConfigError: The text has another form.
@@ -25,7 +29,12 @@ def index_list(text: str) -> list[int] | None:
         first, dash, last = part.partition("-")
         ends = (first, last if dash else first)
         if not all(end.isdecimal() for end in ends) or int(ends[0]) > int(ends[1]):
-            raise ConfigError([f"{text!r} is not a list of indices such as 0-19,25"])
+            raise ConfigError(
+                [
+                    f"{option}={text} is not a list of indices; write ranges with "
+                    f"their last index, such as {option}=0-19,25"
+                ]
+            )
         found += range(int(ends[0]), int(ends[1]) + 1)
     return found
 

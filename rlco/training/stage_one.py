@@ -28,6 +28,13 @@ log = logging.getLogger("rlco.training")
 #: What ``sim_ratio=null`` and ``eval_episodes=null`` stand for with a simulator.
 SIM_RATIO, EVAL_EPISODES = 0.5, 128
 
+#: Which option selects the episodes of which data set.
+_EPISODES = {
+    "sim_demos": "sim_episodes",
+    "real_demos": "episodes",
+    "heldout_demos": "heldout_episodes",
+}
+
 type AnyTask = Task | RobosuiteTask | RecordedTask
 
 
@@ -196,16 +203,20 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
     image_size = check_stage_one(options, task).image_size
     poses = options.use_environment_state and bool(task.environment_state_names)
 
-    def load(
-        name: str, episodes: str, rename: str, camera: str | None
-    ) -> DemoReplayBuffer | None:
+    # Before the first of them is read.
+    episodes = {
+        name: index_list(getattr(options, option), option)
+        for name, option in _EPISODES.items()
+    }
+
+    def load(name: str, rename: str, camera: str | None) -> DemoReplayBuffer | None:
         if not needed[name]:
             return None
         return load_task_demos(
             getattr(options, name),
             task,
             chunk=options.chunk,
-            episodes=index_list(episodes),
+            episodes=episodes[name],
             rename=rename,
             image_size=image_size,
             camera=camera,
@@ -217,11 +228,13 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
     real = (options.rename, options.real_camera)
     demos = StageOneDemos(
         task,
-        sim=load("sim_demos", options.sim_episodes, "", sim_camera),
-        real=load("real_demos", options.episodes, *real),
-        heldout=load("heldout_demos", options.heldout_episodes, *real),
+        sim=load("sim_demos", "", sim_camera),
+        real=load("real_demos", *real),
+        heldout=load("heldout_demos", *real),
     )
     check_held_out(demos)
+    if image_size is None and not poses:
+        say_blind(demos)
     policy_options.augment(options, *demos.present())
     return demos
 
@@ -245,6 +258,28 @@ def check_held_out(demos: StageOneDemos) -> None:
                     "heldout_episodes="
                 ]
             )
+
+
+def say_blind(demos: StageOneDemos) -> None:
+    """Say so where data have images, and a policy reads the robot's state alone."""
+    from rlco.lerobot_files import read_folder
+
+    for one in demos.present():
+        cameras = [
+            name.rpartition(".")[2] for name in read_folder(one.meta.path).cameras
+        ]
+        if not cameras:
+            continue
+        which = f" real_camera={cameras[0]}" if len(cameras) > 1 else ""
+        log.warning(
+            "%s has images (%s), and nothing of them is read: a policy that reads the "
+            "robot's state alone (%s) cannot see objects, and repeats a mean motion "
+            "where they matter; give image=conv%s to read images",
+            one.meta.path,
+            ", ".join(cameras),
+            ", ".join(demos.task.state_names),
+            which,
+        )
 
 
 def _needs(options: StageOneOptions) -> dict[str, bool]:

@@ -188,14 +188,14 @@ def load_stage_two(options: StageTwoOptions) -> tuple[ChunkPolicy, StageTwoDemos
             [f"augment=true changes images, but policy {options.policy!r} reads none"]
         )
 
-    def load(path: str | None, episodes: str) -> DemoReplayBuffer | None:
+    def load(path: str | None, episodes: list[int] | None) -> DemoReplayBuffer | None:
         if path is None:
             return None
         return load_task_demos(
             path,
             task,
             chunk=policy.chunk,
-            episodes=index_list(episodes),
+            episodes=episodes,
             rename=options.rename,
             image_size=policy.image_size,
             camera=options.real_camera,
@@ -203,8 +203,11 @@ def load_stage_two(options: StageTwoOptions) -> tuple[ChunkPolicy, StageTwoDemos
         )
 
     demos = StageTwoDemos(
-        load(options.real_demos, options.episodes),
-        load(options.heldout_demos, options.heldout_episodes),
+        load(options.real_demos, index_list(options.episodes)),
+        load(
+            options.heldout_demos,
+            index_list(options.heldout_episodes, "heldout_episodes"),
+        ),
     )
     augment(options, demos.real)
     if options.horizon is not None and demos.real is not None:

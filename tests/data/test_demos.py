@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -57,6 +58,22 @@ def demos(tmp_path_factory: pytest.TempPathFactory) -> Path:
                 )
             writer.save_episode()
     return root
+
+
+def test_loading_says_nothing_of_storages(
+    demos: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    torchrl = logging.getLogger("torchrl")
+    torchrl.addHandler(caplog.handler)
+    try:
+        with caplog.at_level(logging.INFO, "torchrl"):
+            load_demos(demos)
+            assert not caplog.records
+            # Later lines of TorchRL are left as they are.
+            torchrl.info("Initialized LazyTensorStorage")
+            assert len(caplog.records) == 1
+    finally:
+        torchrl.removeHandler(caplog.handler)
 
 
 def test_rows_by_hand(demos: Path) -> None:

@@ -249,9 +249,19 @@ def test_missing_episode_files_are_named_and_the_present_ones_offered(v2: Path) 
     assert len(read_columns(folder, ["action"])["action"]) == LENGTHS[0]
 
 
-@pytest.mark.parametrize("episodes", [[3], [0, 0], []])
-def test_episodes_that_cannot_be_selected(v2: Path, episodes: list[int]) -> None:
-    with pytest.raises(DataError, match=r"episodes=\[.*out of 0-2"):
+@pytest.mark.parametrize(
+    ("episodes", "culprit"),
+    [
+        ([0, 1, 2, 3], "episodes=0-3 .* asks for 3, which it does not have"),
+        ([0, 7, 1, 5], "asks for 5, 7, which it does not have"),
+        ([0, 1, 0], "asks for 0 more than once"),
+        ([], "asks for none"),
+    ],
+)
+def test_episodes_that_cannot_be_selected(
+    v2: Path, episodes: list[int], culprit: str
+) -> None:
+    with pytest.raises(DataError, match=rf"{culprit}; .*out of 0-2"):
         read_folder(v2, episodes=episodes)
 
 

@@ -61,8 +61,12 @@ def test_only_the_episodes_asked_for_are_trained_on(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        (["episodes=9"], ["episodes=[9]", "0-1"]),
-        (["episodes=1-0"], ["'1-0'", "0-19,25"]),
+        (["episodes=9"], ["episodes=9 of", "asks for 9, which", "out of 0-1"]),
+        (["episodes=0-2"], ["episodes=0-2 of", "asks for 2, which", "out of 0-1"]),
+        (["episodes=0,1,0"], ["asks for 0 more than once"]),
+        (["episodes=1-0"], ["episodes=1-0 is not", "episodes=0-19,25"]),
+        (["episodes=0:1"], ["episodes=0:1 is not", "episodes=0-19,25"]),
+        (["sim_episodes=0:1"], ["sim_episodes=0:1 is not", "sim_episodes=0-19,25"]),
         (["eval_episodes=4"], ["task=null", "eval_episodes=4", "eval_episodes=0"]),
         (["sim_ratio=0.5"], ["sim_ratio=0.5 needs sim_demos=FOLDER"]),
         (["heldout_episodes=1"], ["heldout_episodes=1 needs heldout_demos=FOLDER"]),
@@ -79,6 +83,18 @@ def test_what_such_a_robot_cannot_have(
     for word in words:
         assert word in line
     assert not out.exists()
+
+
+@pytest.mark.parametrize("inner", ["data", "data/chunk-000", "meta", "above"])
+def test_a_folder_inside_or_above_names_the_data_set(
+    tmp_path: Path, capsys: Capture, inner: str
+) -> None:
+    data = write_arm(tmp_path / "all" / "arm")
+    given = tmp_path / "all" if inner == "above" else data / inner
+    line = refused(
+        capsys, "sft", *OWN, f"real_demos={given}", f"out={tmp_path / 'run'}"
+    )
+    assert repr(str(data)) in line
 
 
 def test_what_is_held_out_is_not_trained_on(tmp_path: Path, capsys: Capture) -> None:
@@ -171,6 +187,34 @@ def test_a_policy_of_another_robot_is_not_taken_into_a_simulator(
     assert saved["action_limit"] is None
     line = refused(capsys, "evaluate", f"policy={policy}", f"out={tmp_path / 'e'}")
     assert "trained without a simulator (task=null)" in line
+
+
+@pytest.mark.parametrize(
+    ("poses", "camera", "more", "said"),
+    [
+        (False, "front", (), True),
+        (False, "front", ("image=conv",), False),
+        (True, "front", (), False),
+        (False, None, (), False),
+    ],
+)
+def test_a_policy_that_sees_no_object_is_said_to_be_blind(
+    tmp_path: Path,
+    capsys: Capture,
+    poses: bool,
+    camera: str | None,
+    more: tuple[str, ...],
+    said: bool,
+) -> None:
+    data = write_arm(tmp_path / "arm", joints=2, poses=poses, camera=camera)
+    out = tmp_path / "run"
+    capsys.readouterr()
+    start("sft", *OWN, f"real_demos={data}", f"out={out}", *more)
+    lines = [line for line in capsys.readouterr().err.splitlines() if "has im" in line]
+    assert len(lines) == said
+    for line in lines:
+        assert "(joint0, joint1) cannot see objects" in line
+        assert "image=conv" in line
 
 
 def test_metrics_are_those_of_any_stage_one(tmp_path: Path) -> None:

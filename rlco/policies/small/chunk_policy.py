@@ -36,7 +36,9 @@ class ChunkPolicy(TensorDictModuleBase):
     An action number that hardly moves in the demonstrations is not squeezed onto its
     one value: its range is widened to ``MIN_ACTION_RANGE`` = 0.2 about that value, so
     that exploration there stays small without being switched off: noise in a rotation
-    that no demonstration uses would add up over an episode.
+    that no demonstration uses would add up over an episode. This is a tenth of the
+    range [-1, 1]; with ``action_limit=None`` no range is known, and only what is
+    constant is widened, to ``MIN_UNLIMITED_RANGE`` = 0.001 in the action's own unit.
 
     Args:
         state_size: dimension of the state.
