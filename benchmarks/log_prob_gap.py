@@ -1,6 +1,6 @@
 """How far a rollout's log-probability is from the one that the learner computes.
 
-    uv run benchmarks/log_prob_gap.py runs=[outputs/quickstart/RUN]
+    uv run benchmarks/log_prob_gap.py 'runs=[outputs/quickstart/RUN]'
 
 Rollouts draw and learners evaluate in other batches, and tokens by other code. Measured
 at most over the decisions: for the policies of quickstart's runs after Stage II, on

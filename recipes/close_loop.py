@@ -1,7 +1,7 @@
 """Close the loop: hide an effect, find it in logs, and train with what was found.
 
     uv run recipes/close_loop.py
-    uv run recipes/close_loop.py hidden=effects.yaml seeds=[0]
+    uv run recipes/close_loop.py hidden=effects.yaml 'seeds=[0]'
 
 An effect that no simulator here knows of is added to ``stand_in``, the second simulator
 that plays the robot's part; no robot moves. Logs are recorded there, of joint positions
