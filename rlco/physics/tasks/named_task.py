@@ -91,7 +91,7 @@ def check_robosuite_domain(task: str, domain: Domain) -> None:
         raise RlcoError(
             f"domain={domain.name!r} is not supported for {task!r}, one of robosuite's "
             "own tasks, which have no sensor errors and scenes of their own; give sim "
-            "(in a recipe eval_domains=[sim]), or a file with effects on the model."
+            "(in a recipe 'eval_domains=[sim]'), or a file with effects on the model."
         )
 
 
