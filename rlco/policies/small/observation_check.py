@@ -61,11 +61,18 @@ def check_observations(
         if getattr(encoder, name) is not None
     ]
 
-    def check(_: nn.Module, given: tuple[Any, ...]) -> None:
-        for look in looks:
-            look.check(given[0])
+    policy.register_forward_pre_hook(_Looks(looks))
 
-    policy.register_forward_pre_hook(check)
+
+class _Looks:
+    """A hook of a policy's calls; a class, so that policies can be pickled."""
+
+    def __init__(self, looks: Sequence[_Look]) -> None:
+        self._looks = looks
+
+    def __call__(self, policy: nn.Module, given: tuple[Any, ...]) -> None:
+        for look in self._looks:
+            look.check(given[0])
 
 
 class _Look:

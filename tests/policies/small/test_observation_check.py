@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import logging
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +75,21 @@ def test_radians_for_degrees_are_reported_once_with_value_and_range(
     assert "shoulder" not in first  # -0.9 is near enough to -10
     assert "shoulder is 170, data -90 to -10" in second
     assert "elbow" not in second
+
+
+@pytest.mark.parametrize(
+    "copied", [copy.deepcopy, lambda p: pickle.loads(pickle.dumps(p))]
+)
+def test_a_copy_of_a_policy_looks_at_its_own_range(
+    loaded: Any, caplog: pytest.LogCaptureFixture, copied: Any
+) -> None:
+    other = copied(loaded)
+    other.set_normalization(state=([0.0] * 3, [1.0] * 3))
+    with caplog.at_level(logging.WARNING, "rlco"):
+        act(other, 0.5, 0.5, 12.0)
+    assert "gripper is 12, data 0 to 1)" in caplog.records[0].getMessage()
+    with pytest.raises(DataError, match="elbow"):
+        act(other, 0.5, torch.nan, 0.5)
 
 
 def test_a_batch_names_what_is_worst(
