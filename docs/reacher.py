@@ -1,6 +1,6 @@
 """A robot that rlco has no task for: demonstrations, and Stage II in a loop of its own.
 
-The arm is Gymnasium's Reacher. The "robot" is one whose motors have 30 % of the torque.
+The arm is Gymnasium's Reacher. The "robot" is one whose motors have half the torque.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchrl.objectives.value import GAE
 
 from rlco.data import DemoWriter, load_demos
-from rlco.envs import from_gymnasium
+from rlco.envs import check_action_units, from_gymnasium
 from rlco.losses import CoTrainingLoss, ImitationLoss, log_probs
 from rlco.policies import GaussianPolicy, ValueNetwork
 
@@ -38,7 +38,7 @@ def robot() -> gymnasium.Env:
     """Return the arm that plays the robot's part."""
     weak = simulator()
     same = weak.action_space
-    return gymnasium.wrappers.TransformAction(weak, lambda a: 0.3 * a, same)
+    return gymnasium.wrappers.TransformAction(weak, lambda a: 0.5 * a, same)
 
 
 def solved(td: TensorDict) -> torch.Tensor:
@@ -75,7 +75,9 @@ def record(folder: str, arm: gymnasium.Env, *, episodes: int, seed: int) -> None
 
 def worlds(make, *, num_envs: int, chunk: int) -> EnvBase:
     """Return environments whose actions are in the demonstrations' own units."""
-    return from_gymnasium(make, success=solved, num_envs=num_envs, chunk=chunk)
+    return from_gymnasium(
+        make, success=solved, num_envs=num_envs, chunk=chunk, scale_actions=False
+    )
 
 
 def success_rate(policy: GaussianPolicy, make, *, episodes: int = 64) -> float:
@@ -100,6 +102,7 @@ def co_train(
     torch.manual_seed(seed)
     env = worlds(simulator, num_envs=num_envs, chunk=policy.chunk)
     env.set_seed(seed)
+    check_action_units(policy, env)
     critic = ValueNetwork(len(STATE))
     # What both read they normalise alike.
     critic.encoder.load_state_dict(policy.encoder.state_dict(), strict=False)
@@ -111,7 +114,11 @@ def co_train(
     gae = GAE(gamma=0.9, lmbda=0.95, value_network=critic, average_gae=True)
     decisions = num_envs * -(-EPISODE // policy.chunk)
     collector = Collector(
-        env, policy, frames_per_batch=decisions, total_frames=iterations * decisions
+        env,
+        policy,
+        frames_per_batch=decisions,
+        total_frames=iterations * decisions,
+        auto_register_policy_transforms=False,
     )
     for rollout in collector:  # whole episodes, [environments, decisions]
         with torch.no_grad():
