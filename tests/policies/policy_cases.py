@@ -46,7 +46,11 @@ def demonstrations(policy: Any, *batch: int, **options: Any) -> TensorDictBase:
 
 
 def gradients_are_right(policy: Any, compute: Callable[[Any], torch.Tensor]) -> bool:
-    """Compare autograd with finite differences in every parameter, float64."""
+    """Compare autograd with finite differences, float64.
+
+    Along random directions of the outputs and of every parameter's numbers, which a
+    wrong number shows in, at a hundredth of the cost of one number after the other.
+    """
     names = [name for name, _ in policy.named_parameters()]
 
     class Called(torch.nn.Module):
@@ -64,4 +68,4 @@ def gradients_are_right(policy: Any, compute: Callable[[Any], torch.Tensor]) -> 
         return torch.func.functional_call(called, given, ())
 
     values = [p.detach().clone().requires_grad_() for p in policy.parameters()]
-    return torch.autograd.gradcheck(function, values)
+    return torch.autograd.gradcheck(function, values, fast_mode=True)
