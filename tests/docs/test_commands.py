@@ -1,4 +1,9 @@
-"""Every command that the documentation shows runs, with less of everything."""
+"""Every command that the documentation shows runs, with less of everything.
+
+Commands that with less of everything are the same, as those that differ in a number of
+updates, run once: in the longest block, as what follows there goes on with what it
+wrote. Some are run by other tests, which then say what comes of them.
+"""
 
 from __future__ import annotations
 
@@ -27,14 +32,14 @@ pytestmark = pytest.mark.slow
 # Overrides the page's numbers: whether it runs, not what it learns.
 LESS: dict[str, dict[str, object]] = {
     "record_demos": {"episodes": 2},
-    "sft": {"updates": 6, "log_every": 2, "batch_size": 16, "eval_episodes": 2},
+    "sft": {"updates": 2, "log_every": 2, "batch_size": 16, "eval_episodes": 2},
     "rl_co": {
-        **{"iterations": 2, "num_envs": 8, "epochs": 1, "minibatch": 30},
+        **{"iterations": 2, "num_envs": 2, "epochs": 1, "minibatch": 30},
         **{"real_rows": 8, "critic_iterations": 1, "eval_every": 2, "eval_episodes": 2},
     },
     "evaluate": {"episodes": 2},
     "quickstart": {
-        **{"sim_demos": 2, "real_demos": 2, "heldout_demos": 1, "updates": 4},
+        **{"sim_demos": 1, "real_demos": 1, "heldout_demos": 1, "updates": 2},
         **{"iterations": 1, "num_envs": 2, "eval_every": 1, "curve_episodes": 2},
         **{"eval_episodes": 2, "film": "false"},
     },
@@ -49,6 +54,13 @@ LESS: dict[str, dict[str, object]] = {
         **{"iterations": 1, "num_envs": 2, "horizon": 16, "epochs": 1, "minibatch": 4},
         **{"real_rows": 2, "accumulate": 2, "eval_every": 1, "eval_episodes": 2},
     },
+}
+# Run by a test that also looks at what comes of it: the quickstart with as little, the
+# search in full, on the model and the logs of docs/example.
+RUN_BY = {
+    "quickstart.py": "recipes/test_chain.py",
+    "find_gap.py model=docs/example/arm.xml data=docs/example/logs": "test_cli.py",
+    "find_gap.py model=arm.xml data=logs": "test_cli.py",
 }
 # What a page cannot run here: it needs a network, a robot, hours, or is run elsewhere.
 ELSEWHERE = {
@@ -88,6 +100,40 @@ def distinct_blocks() -> list[list[Command]]:
         if shown:
             found.setdefault(tuple(one.text for one in shown), shown)
     return list(found.values())
+
+
+Effective = tuple[str, frozenset[str]]
+
+
+def effective(command: Command) -> Effective:
+    """Return what is asked for, wherever it reads and writes, without a default."""
+    if command.recipe is None:
+        return command.text, frozenset()
+    options = with_less(command.recipe, command.options)
+    plain = ("out=", "seed=", "task=push_cube")
+    place = re.compile(r"=(?:demos/|outputs/|RUN/|CHECKPOINT|docs/example/|\.\.\.).*")
+    kept = (place.sub("=PLACE", one) for one in options if not one.startswith(plain))
+    return command.recipe, frozenset(kept)
+
+
+def blocks_to_run() -> list[list[Command]]:
+    """Return the distinct blocks, less what a longer one or another test runs."""
+    done = {effective(Command("", f"uv run recipes/{one}")) for one in RUN_BY}
+    left = []
+    for block in sorted(distinct_blocks(), key=len, reverse=True):
+        chain = len(block) > 4  # on the whole, as each goes on with the one before
+        new = [one for one in block if chain or effective(one) not in done]
+        done |= {effective(one) for one in new}
+        left += [new] if new else []
+    return left
+
+
+def test_what_another_test_runs_is_on_a_page_and_that_test_is_there() -> None:
+    shown = {effective(one) for block in distinct_blocks() for one in block}
+    for command, tests in RUN_BY.items():
+        assert effective(Command("", f"uv run recipes/{command}")) in shown
+        recipe = command.split(".py")[0]
+        assert f'"{recipe}"' in (ROOT / "tests" / tests).read_text()
 
 
 def test_every_other_command_is_run_somewhere() -> None:
@@ -228,7 +274,7 @@ def run(command: Command, folders: Folders) -> int | str | None:
 
 
 def with_less(recipe: str, options: list[str]) -> list[str]:
-    """Return a recipe's options with the page's values, or small ones if smaller."""
+    """Return a recipe's options with small numbers for the page's, except for zeros."""
     if options == ["help"]:
         return options
     given = dict(option.split("=", 1) for option in options)
@@ -236,13 +282,15 @@ def with_less(recipe: str, options: list[str]) -> list[str]:
     less = dict(LESS[recipe])
     if given.get("task") == "null":  # no simulator to evaluate in
         del less["eval_episodes"]
+    if "group_size" in given:  # episodes of a group are of one rollout
+        less["num_envs"] = given["group_size"]
     if "resume" in given:  # only the number of rollouts may change
         less = {"iterations": 4} if "iterations" in given else {}
-    small = {k: v for k, v in less.items() if given.get(k) not in ("0", "1", "2")}
+    small = {k: v for k, v in less.items() if given.get(k) != "0"}
     return [f"{name}={value}" for name, value in {**given, **small}.items()]
 
 
-BLOCKS = distinct_blocks()
+BLOCKS = blocks_to_run()
 
 
 @pytest.mark.parametrize("block", BLOCKS, ids=[b[0].text for b in BLOCKS])
