@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -58,8 +59,8 @@ def code_version(script: Path) -> str:
         64 hexadecimal digits.
     """
     digest = hashlib.sha256()
-    for name, (_, tree) in sorted(_followed(script).items()):
-        digest.update(f"{name}\n{_normalised(tree)}\n".encode())
+    for name, path in sorted(sources(script).items()):
+        digest.update(f"{name}\n{_normalised(path.read_bytes(), path)}\n".encode())
     return digest.hexdigest()
 
 
@@ -69,7 +70,20 @@ def sources(script: Path) -> dict[str, Path]:
     Found without running anything: import statements are followed, also those inside
     functions, to packages of rlco and to modules beside the script.
     """
-    return {name: path for name, (path, _) in _followed(script).items()}
+    roots = (script.parent.resolve(), ROOT)
+    waiting, found = [script.resolve()], dict[str, Path]()
+    while waiting:
+        path = waiting.pop()
+        name = _name(path, roots)
+        if name in found:
+            continue
+        found[name] = path
+        imports, by_name = _read(path.read_bytes(), path)
+        for module in {*_imported(imports, path, roots)}:
+            waiting += _files(module, roots)
+        if by_name:
+            waiting += path.parent.rglob("*.py")
+    return found
 
 
 def _stamp(path: Path) -> tuple[int, int]:
@@ -80,47 +94,43 @@ def _stamp(path: Path) -> tuple[int, int]:
     return known.st_mtime_ns, known.st_size
 
 
-def _followed(script: Path) -> dict[str, tuple[Path, ast.Module]]:
-    """Return the files that a script may run, and what is in them."""
-    roots = (script.parent.resolve(), ROOT)
-    waiting, found = [script.resolve()], dict[str, tuple[Path, ast.Module]]()
-    while waiting:
-        path = waiting.pop()
-        name = _name(path, roots)
-        if name in found:
-            continue
-        tree = ast.parse(path.read_bytes(), str(path))
-        found[name] = path, tree
-        for module in {*_imported(tree, path, roots)}:
-            waiting += _files(module, roots)
-        if _imports_by_name(tree):
-            waiting += path.parent.rglob("*.py")
-    return found
-
-
 def _name(path: Path, roots: Sequence[Path]) -> str:
     """Name a file by where it lies below a root: a checkout may be anywhere."""
     return next(str(path.relative_to(r)) for r in roots if path.is_relative_to(r))
 
 
-def _normalised(tree: ast.Module) -> str:
-    """Return a tree as text without docstrings, which are cut out of it."""
+Import = ast.Import | ast.ImportFrom
+
+
+# Scripts of an experiment share most of their files: each is parsed once.
+@functools.cache
+def _read(content: bytes, path: Path) -> tuple[tuple[Import, ...], bool]:
+    """Return a file's import statements, and whether it imports by names made later."""
+    tree = ast.parse(content, str(path))
+    found = [node for node in ast.walk(tree) if isinstance(node, Import)]
+    return tuple(found), _imports_by_name(tree)
+
+
+@functools.cache
+def _normalised(content: bytes, path: Path) -> str:
+    """Return a file's syntax tree as text, without its docstrings."""
+    tree = ast.parse(content, str(path))
     for node in ast.walk(tree):
         if isinstance(node, _DOCUMENTED) and ast.get_docstring(node, clean=False):
             node.body = node.body[1:]
     return ast.dump(tree)
 
 
-def _imported(tree: ast.Module, path: Path, roots: Sequence[Path]) -> Iterator[str]:
+def _imported(
+    imports: Sequence[Import], path: Path, roots: Sequence[Path]
+) -> Iterator[str]:
     """Yield the dotted names that a file imports, the packages above them too."""
-    for node in ast.walk(tree):
+    for node in imports:
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
+        else:
             base = _base(node, path, roots)
             names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
-        else:
-            continue
         for name in names:
             parts = name.split(".")
             yield from (".".join(parts[:end]) for end in range(1, len(parts) + 1))
