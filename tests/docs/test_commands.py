@@ -55,6 +55,8 @@ LESS: dict[str, dict[str, object]] = {
         **{"real_rows": 2, "accumulate": 2, "eval_every": 1, "eval_episodes": 2},
     },
 }
+# Where a page leaves it open; a test of the quickstart has all of them.
+OPEN = {"quickstart": {"methods": "[rl_co]", "eval_domains": "[sim]"}}
 # Run by a test that also looks at what comes of it: the quickstart with as little, the
 # search in full, on the model and the logs of docs/example.
 RUN_BY = {
@@ -289,7 +291,8 @@ def with_less(recipe: str, options: list[str]) -> list[str]:
     if "resume" in given:  # only the number of rollouts may change
         less = {"iterations": 4} if "iterations" in given else {}
     small = {k: v for k, v in less.items() if given.get(k) != "0"}
-    return [f"{name}={value}" for name, value in {**given, **small}.items()]
+    asked = {**OPEN.get(recipe, {}), **given, **small}
+    return [f"{name}={value}" for name, value in asked.items()]
 
 
 BLOCKS = blocks_to_run()
