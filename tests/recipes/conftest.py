@@ -30,7 +30,7 @@ def stage_one(assets: Assets) -> list[str]:
     ]
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def inputs(assets: Assets) -> dict[str, list[str]]:
     """Each training recipe's input and tiny settings, all but its output."""
     return {

@@ -190,16 +190,30 @@ def test_the_policy_of_the_best_evaluation_is_kept(
     ).read_bytes()
 
 
+BEST_IS_FIRST = [0.25, 0.75, 0.0, 0.5, 0.25]
+
+
+@pytest.fixture(scope="module")
+def whole(
+    inputs: dict[str, list[str]], tmp_path_factory: pytest.TempPathFactory
+) -> Path:
+    folder = tmp_path_factory.mktemp("best") / "whole"
+    with pytest.MonkeyPatch.context() as patch:
+        rates_of(patch, BEST_IS_FIRST)
+        start("rl_co", *kept(inputs), f"out={folder}")
+    return folder
+
+
 @pytest.mark.parametrize("killed_at", [2, 4])
 def test_a_killed_run_keeps_the_same_best_policy(
     inputs: dict[str, list[str]],
+    whole: Path,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
     killed_at: int,
 ) -> None:
-    cut, whole = tmp_path / "cut", tmp_path / "whole"
-    rates_of(monkeypatch, [0.25, 0.75, 0.0, 0.5, 0.25])  # the best is before both
-    start("rl_co", *kept(inputs), f"out={whole}")
+    cut = tmp_path / "cut"
+    rates_of(monkeypatch, BEST_IS_FIRST)  # that is before both
     save = Run.save_checkpoint
 
     def save_once(run: Run, step: int, state: Any, **options: Any) -> Path:
