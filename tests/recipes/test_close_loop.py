@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import importlib
 import json
 from pathlib import Path
@@ -11,7 +12,8 @@ import numpy as np
 import pytest
 from recipe_cases import refused, start
 
-from rlco.physics.effects import AppliedEffect
+import rlco.gap
+from rlco.physics.effects import EFFECTS, AppliedEffect
 from rlco.physics.effects.effects_file import read_effects, write_effects
 
 pytestmark = pytest.mark.slow
@@ -31,7 +33,12 @@ TINY = (
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("loop") / "run"
-    start("close_loop", *TINY, f"out={folder}")
+    # What could stand in for the offset; a search through all effects takes twice it.
+    known = {"joint_offset", "torque_bias", "encoder_scale", "command_delay", "payload"}
+    few = functools.partial(rlco.gap.run_gap, exclude=set(EFFECTS) - known)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(rlco.gap, "run_gap", few)
+        start("close_loop", *TINY, f"out={folder}")
     return folder
 
 
