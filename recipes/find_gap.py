@@ -41,7 +41,7 @@ _WRITING = 60.0  # [s] after a Ctrl-C in which the next ones are not heeded
 class Config:
     """Options of find_gap.py."""
 
-    model: str = option(REQUIRED, "MJCF file, robosuite:TASK, or bam:SERVO")
+    model: str = option(REQUIRED, "MJCF or URDF file, robosuite:TASK, or bam:SERVO")
     data: str = option(REQUIRED, "recordings: LeRobot, CSV, NPZ, rosbag2, JSON")
     out: str = option(REQUIRED, "new folder for the report")
     rename: str = option("", "names in the data: THEIRS:OURS,THEIRS:OURS")
