@@ -77,6 +77,7 @@ def read_folder(
         fps=float(info["fps"]),
         robot_type=info.get("robot_type"),
         features=_rename(path, features, rename or {}),
+        renamed=dict(rename or {}),
         tasks=tasks_v2(path) if version == "v2.1" else tasks_v3(path),
         episodes=select(path, listed, episodes),
     )

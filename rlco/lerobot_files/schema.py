@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from rlco.errors import DataError, suggest
@@ -70,6 +70,7 @@ class LeRobotFolder:
         features: By name, after renaming.
         tasks: Task text by task index.
         episodes: Those selected, in the order requested.
+        renamed: ``{"their.name": "our.name"}``, as asked for.
     """
 
     path: Path
@@ -79,6 +80,7 @@ class LeRobotFolder:
     features: Mapping[str, Feature]
     tasks: Mapping[int, str]
     episodes: tuple[Episode, ...]
+    renamed: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def cameras(self) -> tuple[str, ...]:
@@ -92,6 +94,12 @@ class LeRobotFolder:
             DataError: If there is no such feature; lists the existing ones and suggests
                 ``rename=``.
         """
+        if name in self.renamed and name not in self.features:
+            raise DataError(
+                f"data set {str(self.path)!r} has no feature {name!r} any more: rename "
+                f"gave it the name {self.renamed[name]!r}; leave that out, since rlco "
+                "reads it under its own name."
+            )
         if name not in self.features:
             raise DataError(
                 f"data set {str(self.path)!r} has no feature {name!r}"

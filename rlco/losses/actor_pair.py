@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from tensordict import NestedKey, TensorDict
@@ -159,6 +160,27 @@ def actor_problems(option: str, loss: object) -> list[str]:
             f"{option}, a {name}, has functional=True but no actor_network_params; "
             "call self.convert_to_functional(actor, 'actor_network') where it keeps "
             "its actor, or let its property functional return False"
+        ]
+    return _key_problems(f"{option}, a {name},", loss)
+
+
+def _key_problems(loss_is: str, loss: LossModule) -> list[str]:
+    """Return what is wrong with the names of what a loss reads and returns."""
+    lacking = [
+        name
+        for name in ("in_keys", "out_keys")
+        if not isinstance(getattr(loss, name, None), Sequence)
+    ]
+    if lacking:
+        return [
+            f"{loss_is} has no {' and no '.join(lacking)}; list the entries that it "
+            "reads and those that it returns"
+        ]
+    if not any(str(key).startswith("loss_") for key in loss.out_keys):
+        return [
+            f"{loss_is} returns {', '.join(map(str, loss.out_keys)) or 'nothing'} by "
+            "its out_keys and no term loss_*, so that nothing of it would be trained; "
+            "name its term loss_SOMETHING, there and in what forward returns"
         ]
     return []
 

@@ -59,8 +59,10 @@ class CoTrainingLoss(ActorPair):
     Raises:
         ConfigError: two actors, a loss that is missing, is no LossModule or shows no
             actor, a reduction that keeps rows, coefficients that are negative or both
-            0, or output names that collide.
-        DataError: in ``forward``, a root or its advantages are missing.
+            0, or output names that collide; in ``forward``, a loss of which nothing
+            is trained.
+        DataError: in ``forward``, a root, its advantages or what a loss reads are
+            missing.
 
     Example:
         >>> import torch
@@ -142,7 +144,16 @@ class CoTrainingLoss(ActorPair):
         loss, coefficient = self._loss_on(root), getattr(self, f"{root}_coeff")
         suffix = "_real" if root == REAL else ""
         named: dict[str, Any] = {}
-        for name, value in loss(self._data(root, loss, tensordict)).items():
+        data = self._data(root, loss, tensordict)
+        try:
+            returned = loss(data)
+        except (AttributeError, KeyError, TypeError) as error:
+            key = getattr(self.tensor_keys, root)
+            if problem := _missing(f"the root {key!r}", loss, data):
+                raise DataError(problem) from error
+            raise
+        _check_terms(root, loss, returned)
+        for name, value in returned.items():
             if name.startswith("loss_"):
                 named[name + suffix] = coefficient * value
             elif name.startswith("loss"):
@@ -171,6 +182,11 @@ class CoTrainingLoss(ActorPair):
                     "drawing minibatches."
                 )
         return data
+
+    @property
+    def roots(self) -> tuple[str, ...]:
+        """The roots whose loss is computed: those without a coefficient fixed at 0."""
+        return self._active
 
     def _loss_on(self, root: str) -> LossModule:
         return self.sim_loss if root == SIM else self.real_loss
@@ -250,6 +266,63 @@ def _coefficient_problem(name: str, value: Any) -> str | None:
     if math.isfinite(number) and number >= 0:
         return None
     return f"{name}={number} must be finite and >= 0"
+
+
+def _missing(where: str, loss: LossModule, data: TensorDictBase) -> str | None:
+    """Say which entry a loss reads that its data lack; None if they have all."""
+    held = ", ".join(map(repr, data.keys(include_nested=True, leaves_only=True)))
+    for key in ppo_keys.input_keys(loss):
+        value = data.get(key, None)
+        if value is None:
+            return (
+                f"{where} has no {key!r}, which {type(loss).__name__} reads; it has "
+                f"{held}."
+            )
+        if is_tensor_collection(value):
+            return (
+                f"{where} has entries under {key!r}, where {type(loss).__name__} reads "
+                f"a tensor; it has {held}: give the one that is meant that name."
+            )
+    return None
+
+
+def _check_terms(root: str, loss: LossModule, returned: Any) -> None:
+    """Check that something of what a loss returned can be trained.
+
+    Raises:
+        ConfigError: There is no term, one is not a single number, or none depends on
+            a parameter that is trained.
+    """
+    name = f"{root}_loss, a {type(loss).__name__},"
+    terms = {key: value for key, value in returned.items() if key.startswith("loss_")}
+    if not terms:
+        raise ConfigError(
+            [
+                f"{name} returned {', '.join(returned.keys()) or 'nothing'} and no "
+                "term loss_*, so that nothing of it is trained; name its term "
+                "loss_SOMETHING"
+            ]
+        )
+    for key, value in terms.items():
+        if value.numel() != 1:
+            raise ConfigError(
+                [
+                    f"{name} returned {key} of shape {tuple(value.shape)}, but a term "
+                    "is one number; take its mean over rows and steps"
+                ]
+            )
+    if (
+        torch.is_grad_enabled()
+        and not any(value.requires_grad for value in terms.values())
+        and any(parameter.requires_grad for parameter in loss.parameters())
+    ):
+        raise ConfigError(
+            [
+                f"{name} returned {', '.join(terms)} without a gradient, so that "
+                "nothing of it is trained; compute it from the actor's output, without "
+                "detach() or no_grad()"
+            ]
+        )
 
 
 _SUMMED = "which trainers would add to the loss; a term is named loss_*"

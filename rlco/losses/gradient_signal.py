@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict, TensorDictBase, is_tensor_collection
 from torch import Tensor
 
 from rlco.errors import DataError
@@ -45,10 +45,16 @@ def gradient_signal(
       against each other;
 
     each with the ends ``_low`` and ``_high`` of an interval: Student's t on the
-    jackknife over the groups (Efron and Stein 1981). What divides by a mean that is
-    not distinguishable from 0 is NaN; both ends of the strength are where the interval
-    of :math:`|\bar g|^2` allows, so ``anchor_strength_high`` is infinite where that
-    contains 0. An estimated cosine may lie a little beyond 1.
+    jackknife over the groups (Efron and Stein 1981). The strength's ends are those of
+    :math:`|\bar g|^2`: ``anchor_strength_high`` is infinite where that interval
+    contains 0, and the cosine is then NaN, since PPO's direction is unknown. The
+    strength is NaN only where the estimate of :math:`|\bar g|^2` is not positive.
+    Cosines are cut at -1 and 1.
+
+    Of 8 episodes expect no more than a lower end of the strength; some 30 groups or
+    more say something of direction. The strength is proportional to ``real_coeff``. It
+    changes in training, most where a learned standard deviation shrinks under a
+    negative log-likelihood: measure it again.
 
     Nothing changes: neither ``.grad`` nor buffers nor random generators.
 
@@ -85,9 +91,18 @@ def gradient_signal(
             f"{len(sim)} groups of episodes say nothing of their noise; give at least "
             f"{LEAST_GROUPS}, by more environments in a rollout."
         )
+    if not is_tensor_collection(real) or real.get(REAL, None) is not None:
+        given = type(real).__name__
+        raise DataError(
+            f"real is a {given}{' with a root real' if hasattr(real, 'keys') else ''}; "
+            "give the demonstrations themselves, a TensorDict of the anchor's rows."
+        )
     parameters = loss.shared_parameters()
 
     def mean(root: str, data: TensorDictBase) -> Tensor:
+        if root not in loss.roots:
+            count = sum(parameter.numel() for parameter in parameters)
+            return torch.zeros(count, dtype=torch.float64)
         total = torch.zeros((), dtype=torch.float64)
         for part in data.split(rows):
             terms = loss.terms_of(root, TensorDict({root: part}))
@@ -134,18 +149,21 @@ def signal_of(
         return float(onto[kept].mean()) / (math.sqrt(squared) * size)
 
     squared, low, high = jackknife(square, len(groups), confidence)
+    cosines: tuple[float, ...] = (math.nan,) * 3
+    if low > 0.0:
+        cosines = tuple(map(_cut, jackknife(cosine, len(groups), confidence)))
+    names = ("anchor_cosine", "anchor_cosine_low", "anchor_cosine_high")
     return {
         "anchor_strength": _over(size, squared) if squared > 0.0 else math.nan,
         "anchor_strength_low": _over(size, high),
         "anchor_strength_high": _over(size, low),
-        **dict(
-            zip(
-                ("anchor_cosine", "anchor_cosine_low", "anchor_cosine_high"),
-                jackknife(cosine, len(groups), confidence),
-                strict=True,
-            )
-        ),
+        **dict(zip(names, cosines, strict=True)),
     }
+
+
+def _cut(cosine: float) -> float:
+    """Return an estimate of a cosine that is one; NaN stays."""
+    return cosine if math.isnan(cosine) else min(1.0, max(-1.0, cosine))
 
 
 def _over(size: float, squared: float) -> float:

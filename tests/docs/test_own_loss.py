@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import copy
 
+import pytest
 import torch
 from loss_cases import gradients, make_batch, make_networks, total
 from my_loss import HuberLoss
+from pages import run_python
+from tensordict import TensorDict
 from torchrl.objectives import ClipPPOLoss
 
+from rlco.errors import DataError
 from rlco.losses import CoTrainingLoss, gradient_agreement
 
 
@@ -62,3 +66,30 @@ def test_a_copy_trains_one_actor() -> None:
         p for p in after if isinstance(p, torch.nn.Parameter) and p.requires_grad
     ]
     assert any(not torch.equal(a, b) for a, b in zip(trained, before, strict=True))
+
+
+def test_an_actor_of_torchrl_is_anchored_by_its_own_imitation_loss() -> None:
+    made = run_python("own_loss.md", "## With your own actor")
+    loss = made["loss"]
+    torch.manual_seed(0)
+    rollout = made["actor"](TensorDict({"observation": torch.randn(4, 5, 3)}, [4, 5]))
+    rollout = rollout.detach()
+    rollout["advantage"] = rollout["value_target"] = torch.randn(4, 5, 1)
+    frames = TensorDict(
+        {
+            "observation": {"state": torch.randn(16, 3)},
+            "action": torch.full((16, 1), 0.5),
+        },
+        [16],
+    )
+    real = made["real_rows"](frames)
+    found = made["strength"](rollout, real)
+    assert found["anchor_strength_low"] > 0
+    out = loss(TensorDict({"sim": rollout.reshape(-1), "real": real}))
+    assert out["loss_bc_real"].requires_grad
+    del real["action"]
+    with pytest.raises(DataError, match="'real' has no 'action', which BCLoss reads"):
+        loss(TensorDict({"sim": rollout.reshape(-1), "real": real}))
+    # The demonstrations as they come: a TensorDict where the actor reads a tensor.
+    with pytest.raises(DataError, match="has entries under 'observation'"):
+        loss(TensorDict({"sim": rollout.reshape(-1), "real": frames}))

@@ -501,3 +501,9 @@ def test_real_data_set_of_which_a_part_is_there() -> None:
     assert 0.01 < np.median(error) < 0.06
     with pytest.raises(DataError, match="episode 0 is missing"):
         list(iterate_images(folder, "observation.images.cam_high"))
+
+
+def test_a_feature_that_was_renamed_away_is_not_offered_again(v2: Path) -> None:
+    folder = read_folder(v2, rename={"observation.state": "observation"})
+    with pytest.raises(DataError, match="gave it the name 'observation'; leave that"):
+        read_columns(folder, ["observation.state"])

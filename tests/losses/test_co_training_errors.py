@@ -211,3 +211,70 @@ def test_reinforce_is_taken_and_needs_what_it_would_estimate() -> None:
     del batch["sim", "advantage"]
     with pytest.raises(DataError, match="'sim' has no 'advantage'"):
         loss(batch)
+
+
+class Own(ImitationLoss):
+    """A loss of one's own; what it returns is changed below."""
+
+    change: Any = staticmethod(lambda term: {"loss_own": term})
+    returned: Any = ("loss_own",)
+
+    @property
+    def out_keys(self) -> Any:
+        return self.returned
+
+    def forward(self, tensordict: Any) -> Any:
+        term = super().forward(tensordict)["loss_bc"]
+        return TensorDict(self.change(term))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (lambda term: {"own": term}, "returned own and no term loss_"),
+        (lambda term: {"loss_own": term.detach()}, "returned loss_own without a grad"),
+        (lambda term: {"loss_own": term.expand(4)}, r"shape \(4,\), but a term is one"),
+    ],
+)
+def test_a_loss_of_which_nothing_is_trained_is_refused(
+    change: Any, message: str
+) -> None:
+    policy, value = make_networks()
+    own = Own(policy)
+    own.change = change
+    loss = CoTrainingLoss(ClipPPOLoss(policy, value), own)
+    batch = make_batch(policy)
+    with pytest.raises(ConfigError, match=f"real_loss, a Own, .*{message}"):
+        loss(batch)
+
+
+def test_one_without_gradients_is_fine_where_none_is_wanted() -> None:
+    policy, value = make_networks()
+    loss = CoTrainingLoss(ClipPPOLoss(policy, value), ImitationLoss(policy))
+    batch = make_batch(policy)
+    with torch.no_grad():
+        assert not loss(batch)["loss_bc_real"].requires_grad
+    for parameter in loss.parameters():
+        parameter.requires_grad_(False)
+    assert not loss(batch)["loss_bc_real"].requires_grad
+
+
+@pytest.mark.parametrize(
+    ("returned", "message"),
+    [(["own"], "returns own by its out_keys and no term loss_"), (None, "no out_keys")],
+)
+def test_names_that_promise_no_term_are_refused(returned: Any, message: str) -> None:
+    policy, value = make_networks()
+    own = Own(policy)
+    own.returned = returned
+    with pytest.raises(ConfigError, match=message):
+        CoTrainingLoss(ClipPPOLoss(policy, value), own)
+
+
+def test_an_entry_that_a_root_lacks_is_named() -> None:
+    policy, value = make_networks()
+    loss = CoTrainingLoss(ClipPPOLoss(policy, value), ImitationLoss(policy))
+    batch = make_batch(policy)
+    del batch["sim", "vla_action", "log_probs"]
+    with pytest.raises(DataError, match=r"'sim' has no .*log_probs.* ClipPPOLoss"):
+        loss(batch)

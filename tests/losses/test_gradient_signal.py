@@ -97,3 +97,36 @@ def test_two_groups_are_refused() -> None:
         gradient_signal(loss, [batch["sim"]] * 2, batch["real"])
     with pytest.raises(DataError, match="no root"):
         loss.terms_of("real", TensorDict({"sim": batch["sim"]}))
+
+
+def test_a_direction_that_noise_hides_is_not_told() -> None:
+    # Two of three groups agree: |g|^2 is positive, and its interval contains 0.
+    groups = torch.tensor([[3.0, 1.0], [3.0, -1.0], [-1.0, 0.0]], dtype=torch.float64)
+    found = signal_of(groups, torch.tensor([1.0, 0.0], dtype=torch.float64))
+    # (25 - (10 + 10 + 1)) / 6 = 2 / 3.
+    assert found["anchor_strength"] == pytest.approx(1.0 / math.sqrt(2.0 / 3.0))
+    assert found["anchor_strength_high"] == math.inf
+    assert math.isnan(found["anchor_cosine"])
+    # Nearly parallel groups: the unbiased |g| is a little less than g h / |h|.
+    groups = torch.tensor([[1.0, 0.1], [1.0, -0.1], [1.0, 0.0]], dtype=torch.float64)
+    found = signal_of(groups, torch.tensor([1.0, 0.0], dtype=torch.float64))
+    assert found["anchor_cosine"] == found["anchor_cosine_high"] == 1.0
+
+
+def test_without_an_anchor_its_strength_is_nought() -> None:
+    policy, value = make_networks()
+    batch = make_batch(policy)
+    ppo = ClipPPOLoss(policy, value, entropy_bonus=False)
+    alone = CoTrainingLoss(ppo, None, real_coeff=0.0)
+    found = gradient_signal(alone, [batch["sim"]] * 3, batch["real"])
+    assert found["anchor_strength"] == 0.0
+    assert math.isnan(found["anchor_cosine"])
+
+
+def test_rows_are_asked_for_where_a_batch_is_given() -> None:
+    policy, value = make_networks()
+    batch = make_batch(policy)
+    loss = CoTrainingLoss(ClipPPOLoss(policy, value), ImitationLoss(policy))
+    for given in (batch, None):
+        with pytest.raises(DataError, match="give the demonstrations themselves"):
+            gradient_signal(loss, [batch["sim"]] * 3, given)  # type: ignore[arg-type]
