@@ -27,7 +27,7 @@ from typing import Literal
 from rlco.errors import ConfigError, RlcoError
 from rlco.run import run_recipe
 from rlco.runs.config import REQUIRED, option
-from rlco.runs.options import rename_map
+from rlco.runs.options import rename_map, scale_map
 from rlco.runs.run_folder import command_line
 from rlco.runs.whole_files import write_json
 
@@ -45,6 +45,9 @@ class Config:
     data: str = option(REQUIRED, "recordings: LeRobot, CSV, NPZ, rosbag2, JSON")
     out: str = option(REQUIRED, "new folder for the report")
     rename: str = option("", "names in the data: THEIRS:OURS,THEIRS:OURS")
+    scale: str = option(
+        "", "factors of columns in the data, of currents say: THEIRS:NUMBER,..."
+    )
     angles: Literal["degrees", "radians"] | None = option(
         None, "unit of angles in the data; null: inferred from their size"
     )
@@ -84,6 +87,7 @@ def main(config: Config) -> None:
                 config.model,
                 config.data,
                 rename=rename_map(config.rename),
+                scale=scale_map(config.scale),
                 angles=config.angles,
                 spread=config.spread,
                 compare=config.compare,
@@ -110,6 +114,7 @@ def check(config: Config, effects: str) -> None:
             config.data,
             effects,
             rename=rename_map(config.rename),
+            scale=scale_map(config.scale),
             angles=config.angles,
             compare=config.compare,
             effects_code=config.effects_code or config.effects,

@@ -72,6 +72,7 @@ def check_effects(
     effects: str | Path,
     *,
     rename: Mapping[str, str] | None = None,
+    scale: Mapping[str, float] | None = None,
     angles: str | None = None,
     compare: str | None = None,
     effects_code: str | Path | None = None,
@@ -84,6 +85,7 @@ def check_effects(
         data: Recordings, best of another day than those the effects were found in.
         effects: The ``effects.yaml`` that a search wrote.
         rename: ``{name in the data: name in the model}``.
+        scale: ``{column in the data: factor}``, see `read_log`.
         angles: ``degrees`` or ``radians``; None to infer it from their size.
         compare: ``positions`` or ``torques``; None: positions where there are commands.
         effects_code: A Python file that registers effects of your own.
@@ -100,7 +102,7 @@ def check_effects(
     load_code(effects_code)
     loaded = load_model(model)
     found = in_model(read_effects(effects).renamed(), loaded.model)
-    log = read_log(data, loaded, rename=rename, angles=angles)
+    log = read_log(data, loaded, rename=rename, scale=scale, angles=angles)
     asked, _ = chosen(log, compare)
     problem = make_problem(loaded, log, threads=threads, compare=asked, cut=False)
     hypothesis = Hypothesis(tuple(found))

@@ -179,6 +179,7 @@ def run_gap(
     data: str | Path,
     *,
     rename: Mapping[str, str] | None = None,
+    scale: Mapping[str, float] | None = None,
     angles: str | None = None,
     spread: float = 0.03,
     effects_code: str | Path | None = None,
@@ -196,6 +197,7 @@ def run_gap(
         model: MJCF file, URDF, ``robosuite:TASK``, or ``bam:SERVO``.
         data: Recordings, see `read_log`.
         rename: ``{name in the data: name in the model}``.
+        scale: ``{column in the data: factor}``, see `read_log`.
         angles: ``degrees`` or ``radians``; None to infer it from their size.
         spread: Tolerance of every parameter of the model, relative; a servo's own
             parameters are fitted.
@@ -222,7 +224,7 @@ def run_gap(
     say = progress or (lambda said, part: None)
     load_code(effects_code)
     loaded = load_model(model)
-    recordings = read_log(data, loaded, rename=rename, angles=angles)
+    recordings = read_log(data, loaded, rename=rename, scale=scale, angles=angles)
     asked, beside = chosen(recordings, compare)
     problem = make_problem(loaded, recordings, threads=threads, compare=asked)
     used = compared_in(problem)

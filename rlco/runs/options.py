@@ -38,6 +38,26 @@ def rename_map(text: str) -> dict[str, str]:
     return {theirs: ours for theirs, _, ours in pairs}
 
 
+def scale_map(text: str) -> dict[str, float]:
+    """Read ``THEIRS:NUMBER,THEIRS:NUMBER``; what is theirs may hold colons.
+
+    Raises:
+        ConfigError: The text has another form.
+
+    Example:
+        >>> scale_map("actual_current_0:12.5,actual_current_1:9.1")
+        {'actual_current_0': 12.5, 'actual_current_1': 9.1}
+    """
+    pairs = [pair.rpartition(":") for pair in text.split(",") if pair]
+    try:
+        found = {theirs: float(number) for theirs, _, number in pairs}
+    except ValueError:
+        found = {"": 0.0}
+    if "" in found:
+        raise ConfigError([f"scale={text!r} is not THEIRS:NUMBER,THEIRS:NUMBER"])
+    return found
+
+
 def option(
     default: Any,
     help: str,

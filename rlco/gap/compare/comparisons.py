@@ -186,7 +186,8 @@ def _missing(kind: Compared, log: Log) -> str:
     if currents:
         return (
             "give joint torques [N m] in columns such as tau.JOINT; "
-            f"{few(currents, 3)} are currents, to be multiplied by torque constant and "
-            "gear ratio"
+            f"{few(currents, 3)} are currents: multiply each by torque constant and "
+            f"gear ratio [N m/A], scale={currents[0]}:NUMBER,..., and call them "
+            f"torques, rename={currents[0]}:tau_NAME"
         )
     return "give measured joint torques, in columns such as tau.JOINT"

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from rlco.errors import DataError
+from rlco.errors import DataError, suggest
 from rlco.gap.logs.checks import check_log
 from rlco.gap.logs.formats.assemble import assemble
 from rlco.gap.logs.formats.bam_files import is_bam, read_bam
@@ -32,6 +33,7 @@ def read_log(
     model: LoadedModel | None = None,
     *,
     rename: Mapping[str, str] | None = None,
+    scale: Mapping[str, float] | None = None,
     angles: str | None = None,
 ) -> Log:
     """Read a robot's recordings, check them, and put them in the model's order.
@@ -57,6 +59,9 @@ def read_log(
             is checked against ranges.
         rename: ``{name in the log: name in the model}`` for joints, actuators,
             columns, or features of a LeRobot data set; ``-`` leaves out.
+        scale: ``{column in the log: factor}``, multiplied before anything else: the
+            torque constant times the gear ratio of a current, which `rename` then calls
+            a torque.
         angles: ``degrees`` or ``radians`` where it is known; None to detect it.
 
     Returns:
@@ -74,6 +79,7 @@ def read_log(
         tables, rename = read_lerobot(path, model, rename)
     else:
         tables = [table for file in _files(path) for table in _read(file, model)]
+    tables = [_scaled(table, scale or {}) for table in tables]
     tables = [steps_to_degrees(table) for table in tables]
     log = _corrected(assemble(tables, model, rename))
     angles = angles or _header_angles(tables)
@@ -81,6 +87,31 @@ def read_log(
     if log.body is not None and model is not None:
         log = to_metres(log, model.model)
     return replace(log, notes=(*log.notes, *check_log(log, model)))
+
+
+def _scaled(table: Table, scale: Mapping[str, float]) -> Table:
+    """Return a table with some columns multiplied.
+
+    Raises:
+        DataError: There is no such column, or a factor is 0 or not finite.
+    """
+    headers = [column.header for column, _ in table.columns]
+    for header, factor in scale.items():
+        if header not in headers:
+            raise DataError(
+                f"scale names column {header!r}{suggest(header, headers)}, which "
+                f"recording {table.name!r} does not have; it has {few(headers)}."
+            )
+        if not math.isfinite(factor) or factor == 0.0:
+            raise DataError(
+                f"scale gives column {header!r} the factor {factor}; give a number "
+                "other than 0."
+            )
+    columns = [
+        (column, values * scale[column.header] if column.header in scale else values)
+        for column, values in table.columns
+    ]
+    return replace(table, columns=tuple(columns))
 
 
 def _files(path: Path) -> list[Path]:

@@ -151,7 +151,8 @@ def test_the_first_lines_say_what_is_shown_left_out_and_lacking() -> None:
     assert "Compared: joint positions, simulated under the recorded commands." in lines
     assert "Left out: 2 columns, actual_current_0, volts." in lines
     assert "To compare torques as well: give joint torques [N m]" in lines
-    assert "actual_current_0 are currents, to be multiplied by torque constant" in lines
+    assert "actual_current_0 are currents: multiply each by torque constant" in lines
+    assert "scale=actual_current_0:NUMBER,..., and call them torques" in lines
 
 
 @pytest.fixture(scope="module")

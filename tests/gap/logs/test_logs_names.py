@@ -113,6 +113,40 @@ def test_rename_gives_columns_their_joint_quantity_or_end(tmp_path: Path) -> Non
     assert part.extra == {}
 
 
+def test_currents_are_torques_once_they_are_multiplied(tmp_path: Path) -> None:
+    time, position, _ = motion()
+    current = np.cos(time[:, None] * [1.0, 2.0, 3.0])
+    columns = {"time": time}
+    for i in range(3):
+        columns |= {f"actual_q_{i}": position[:, i]}
+        columns |= {f"actual_current_{i}": current[:, i]}
+    file = write_csv(tmp_path / "a.csv", columns)
+    factors = [12.5, 12.5, 9.1]
+    log = read_log(
+        file,
+        arm(tmp_path),
+        scale={f"actual_current_{i}": factors[i] for i in range(3)},
+        rename={"actual_current_0": "tau_0"},  # and its siblings
+    )
+    (part,) = log.recordings
+    np.testing.assert_allclose(part.torque, current * factors, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("scale", "message"),
+    [
+        ({"shoulderr": 2.0}, r"column 'shoulderr' .did you mean 'shoulder'"),
+        ({"shoulder": 0.0}, "the factor 0.0; give a number other than 0"),
+        ({"shoulder": float("nan")}, "the factor nan"),
+    ],
+)
+def test_factors_that_cannot_be_are_refused(
+    scale: dict[str, float], message: str, tmp_path: Path
+) -> None:
+    with pytest.raises(DataError, match=message):
+        read_log(write_arm(tmp_path / "a.csv"), arm(tmp_path), scale=scale)
+
+
 def test_rename_of_what_is_not_there_is_refused(tmp_path: Path) -> None:
     file = write_arm(tmp_path / "a.csv")
     with pytest.raises(DataError, match=r"'sholdr' .did you mean 'shoulder'"):
