@@ -298,6 +298,13 @@ def _cell(key: str, value: object) -> str:
     return in_words(str(value)) if key == "motion" else plain(value)
 
 
+_TRAIL = (
+    "Error: the residual in held-out recordings, as a multiple of the noise and of "
+    "what the model's tolerance explains; at 1 nothing else is left. Gain: the "
+    "fraction by which the error falls against the best attempt until then."
+)
+
+
 def _trail(source: Page) -> str:
     trail = source.verdict.trail
     if not trail:
@@ -305,9 +312,10 @@ def _trail(source: Page) -> str:
     head = list(dict.fromkeys(key for row in trail for key in row))
     rows = [[escape(plain(row.get(key, ""))) for key in head] for row in trail]
     steps = "1 step" if len(rows) == 1 else f"{len(rows)} steps"
+    meaning = f'<p class="quiet">{escape(_TRAIL)}</p>' if "gain" in head else ""
     return (
         "<h2>What was tried</h2>\n<details><summary>"
-        f'{steps} of the search</summary><div class="wide">'
+        f'{steps} of the search</summary>{meaning}<div class="wide">'
         f"{html.table([in_words(key) for key in head], rows)}</div></details>"
     )
 
