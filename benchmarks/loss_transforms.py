@@ -19,7 +19,7 @@ What fails is named by its exception. Last table (torch 2.11, TorchRL 0.14.1):
 |---|---|---|---|---|
 | PPOLoss | yes | TypeError | yes | RuntimeError |
 | ClipPPOLoss | yes | TypeError | yes | RuntimeError |
-| ClipPPOLoss, clip_value | InductorError | TypeError | yes | RuntimeError |
+| ClipPPOLoss, clip_value | breaks (Unsupported) | TypeError | yes | RuntimeError |
 | KLPENPPOLoss | BackendCompilerFailed | TypeError | yes | RuntimeError |
 | A2CLoss | yes | TypeError | yes | RuntimeError |
 | ReinforceLoss | yes | TypeError | yes | RuntimeError |
