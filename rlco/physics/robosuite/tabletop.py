@@ -14,6 +14,7 @@ import numpy as np
 
 from rlco.physics.effects.effects_file import EffectsFile
 from rlco.physics.rendering.camera import move_camera
+from rlco.physics.robosuite.check_objects import check_objects
 from rlco.physics.robosuite.effect_sim import ControllerSim, EffectSim, initialize_with
 from rlco.physics.robosuite.robosuite_api import (
     ManipulationEnv,
@@ -90,6 +91,7 @@ class Tabletop(ManipulationEnv):
         )
         arena.set_origin([0, 0, 0])
         self.objects = self.task.make_objects(self.domain, self.variation)
+        check_objects(self.task, self.objects)
         self.model = ManipulationTask(arena, [model], self.objects)
         # Marks move between episodes without changes of the compiled model.
         first = len(self.task.objects)

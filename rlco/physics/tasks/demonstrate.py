@@ -16,6 +16,7 @@ from rlco.physics.spec.domain import Domain, GivenDomain, make_domain
 from rlco.physics.spec.observation import noise_size, observe
 from rlco.physics.spec.robot import POSITION
 from rlco.physics.spec.task import Array, Task
+from rlco.physics.tasks.check_task import check_task
 from rlco.runs.indices import format_indices
 
 _logger = logging.getLogger(__name__)
@@ -108,8 +109,9 @@ def demonstrate(
     Raises:
         ExpertError: If the expert fails in more than half of many episodes, or of those
             with one of the instructions.
+        ConfigError: If the parts of a task of yours do not fit each other.
     """
-    domain = make_domain(domain)
+    task, domain = check_task(task), make_domain(domain)
     count = min(num_envs, episodes)
     stepper = NativeStepper(task, domain, num_envs=count, effects=effects)
     share, more = divmod(episodes, len(task.instructions))

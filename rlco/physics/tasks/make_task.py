@@ -8,6 +8,7 @@ from rlco.errors import RlcoError, UnknownNameError
 from rlco.physics.spec.names import TASK_NAMES
 from rlco.physics.spec.own import of_module
 from rlco.physics.spec.task import Task
+from rlco.physics.tasks.check_task import check_task
 
 
 def make_task(task: str | Task) -> Task:
@@ -20,6 +21,7 @@ def make_task(task: str | Task) -> Task:
         UnknownNameError: If there is no task of that name.
         RlcoError: If the module cannot be imported, or holds no such task, or the name
             is that of one of robosuite's own tasks.
+        ConfigError: If the parts of a task of yours do not fit each other.
 
     Example:
         >>> make_task("push_cube").horizon
@@ -28,9 +30,9 @@ def make_task(task: str | Task) -> Task:
         'push_cube'
     """
     if isinstance(task, Task):
-        return task
+        return check_task(task)
     if ":" in task:
-        return _task_of_module(task)
+        return check_task(_task_of_module(task))
     if task not in TASK_NAMES:
         raise UnknownNameError("task", task, sorted(TASK_NAMES))
     found: Task = importlib.import_module(f"rlco.physics.tasks.{task}").TASK
