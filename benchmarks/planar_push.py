@@ -33,6 +33,8 @@ log = logging.getLogger("rlco.planar_push")
 
 #: Stage I by method: sim_ratio, the share of simulated demonstrations.
 STAGE_ONE = {"real_only": 0.0, "sim_only": 1.0, "sft": 0.5}
+#: PPO's numbers, as they were when the map was planned.
+PPO: dict[str, Any] = {"minibatch": 512, "gamma": 0.9, "time_left": False}
 
 
 @dataclass
@@ -160,6 +162,7 @@ def stage_two(config: Config) -> None:
     demos = record(config)
     envs = evaluation_envs(config.gap, config.eval_episodes)
     options = StageTwoOptions(
+        **PPO,
         policy=str(config.policy),
         task=PlanarTask.name,
         seed=config.seed,

@@ -4,9 +4,10 @@
     uv run recipes/quickstart.py train_domain=gap_report/effects.yaml
 
 Demonstrations are recorded in the simulator and in ``stand_in``, a second simulator
-that plays the robot's part; no robot moves. Then three policies are trained and
+that plays the robot's part; no robot moves. Then four policies are trained and
 compared in both: real_only (Stage I on real demonstrations only), sft (Stage I on
-both) and rl_co (sft, then PPO in the simulator anchored to the real demonstrations).
+both), rl_only (sft, then PPO in the simulator) and rl_co (the same PPO, anchored to the
+real demonstrations).
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ class Config(PolicyOptions):
     name: str = option("quickstart", "name of the run, a part of its folder's name")
     task: str = option("push_cube", "name of the task")
     methods: list[str] = option(
-        ["real_only", "sft", "rl_co"], f"which to compare: {', '.join(METHODS)}"
+        list(METHODS), f"which to compare: {', '.join(METHODS)}"
     )
     sim_demos: int = option(
         12, "demonstrations to record in the training domain", minimum=1
@@ -59,7 +60,7 @@ class Config(PolicyOptions):
     sim_ratio: float = option(0.5, "alpha of Stage I", minimum=0, maximum=1)
     updates: int = option(1500, "optimiser steps of Stage I", minimum=1)
     iterations: int = option(50, "rollouts of Stage II", minimum=1)
-    num_envs: int = option(128, "episodes per rollout", minimum=1)
+    num_envs: int = option(32, "episodes per rollout", minimum=1)
     real_coeff: float = option(0.2, "beta of Stage II", minimum=0)
     advantage: Literal["gae", "mc"] = option(
         "gae", "gae: by a critic; mc: by returns within groups of equal initial states"
@@ -184,9 +185,12 @@ def imitate(config: Config, run: Run, demos: dict[str, str], method: str) -> Any
     """Return a policy of Stage I."""
     from rlco.training.stage_one import load_stage_one, train_stage_one
 
-    options = stage_one(config, demos, method)
+    folder = f"stages/{method}"
+    options = run.stage_options(
+        stage_one(config, demos, method), folder, anew=("sim_demos", "real_demos")
+    )
     data = load_stage_one(options)
-    with run.stage(options, "sft", f"stages/{method}") as stage:
+    with run.stage(options, "sft", folder) as stage:
         return train_stage_one(options, stage, data)
 
 
@@ -212,9 +216,14 @@ def reinforce(
         rollout_rows,
     )
 
-    options = stage_two(config, run.path, demos, method)
+    folder = f"stages/{method}"
+    options = run.stage_options(
+        stage_two(config, run.path, demos, method),
+        folder,
+        anew=("policy", "real_demos", "heldout_demos"),
+    )
     policy, data = load_stage_two(options)
-    with run.stage(options, "rl_co", f"stages/{method}") as stage:
+    with run.stage(options, "rl_co", folder) as stage:
         critic = make_critic(options, policy)
         real = data.real if options.real_coeff > 0 else None
         loss = CoTrainingLoss(

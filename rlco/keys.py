@@ -20,6 +20,9 @@ STATE = ("observation", "state")
 ENVIRONMENT_STATE = ("observation", "environment_state")
 #: One camera frame, uint8 [*B, C, H, W]; absent where there is no camera.
 IMAGE = ("observation", "image")
+#: Share of the episode that is left, float32 [*B, 1], 1 as it starts and 0 as it ends.
+#: For critics: a policy does not read it, and a robot has none.
+TIME_LEFT = ("observation", "time_left")
 #: The instruction as text: a non-tensor at the root, one string a row.
 INSTRUCTION = "language_instruction"
 #: The instruction as its index in the task's list of instructions, int64 [*B].

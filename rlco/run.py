@@ -11,7 +11,7 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
@@ -327,6 +327,26 @@ class Run:
         if imitation:
             content["imitation"] = list(imitation)
         write_json(self.path / "results.json", content)
+
+    def stage_options[C: RunOptions](
+        self, config: C, folder: str, *, anew: Iterable[str] = ()
+    ) -> C:
+        """Return a stage's options: where it is resumed, those it was started with.
+
+        Args:
+            config: The options of a stage that starts.
+            folder: The stage's folder in this run.
+            anew: Options that are taken from ``config`` all the same: paths, since a
+                run may have been moved.
+
+        Raises:
+            ConfigError: The stage's ``config.yaml`` cannot be read.
+        """
+        path = self.path / folder
+        if not (self.resumed and path.exists()):
+            return config
+        saved = parse(type(config), [f"resume={path}"], folder)
+        return replace(saved, **{name: getattr(config, name) for name in anew})
 
     def stage[C: RunOptions](self, config: C, recipe: str, folder: str) -> Run:
         """Start a run inside this one, or go on with it where this one is resumed."""

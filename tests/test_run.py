@@ -241,6 +241,20 @@ def test_stage_is_made_once_and_then_resumed(tmp_path: Path) -> None:
         assert stage.load_checkpoint() == {"w": 1}
 
 
+def test_a_resumed_stage_has_the_options_it_was_started_with(tmp_path: Path) -> None:
+    out = str(tmp_path / "run")
+    with Run(RunOptions(out=out), "chain") as run:
+        first = RunOptions(seed=7, name="a/b")
+        assert run.stage_options(first, "stage_one") is first
+        with run.stage(first, "sft", "stage_one"):
+            pass
+    now = RunOptions(seed=8, name="c/b")
+    with Run(RunOptions(resume=out), "chain") as run:
+        assert run.stage_options(now, "stage_two") is now  # it was not reached
+        again = run.stage_options(now, "stage_one", anew=["name"])
+    assert (again.seed, again.name) == (7, "c/b")
+
+
 def test_results_and_log_are_written(tmp_path: Path) -> None:
     row = {
         "method": "sft",

@@ -31,8 +31,9 @@ class RolloutCollector:
     TorchRL's `Collector` steps. With ``advantage="gae"``, GAE (Schulman et al.,
     arXiv 1506.02438) then runs over the whole rollout under ``no_grad``: gamma and
     lambda count decisions, an episode that was truncated bootstraps from its last
-    observation's value, a terminated one does not. Advantages are normalised over the
-    whole rollout.
+    observation's value, a terminated one does not. A critic with ``time_left`` is told
+    how much of the episode is left, and then no episode bootstraps beyond its end.
+    Advantages are normalised over the whole rollout.
 
     With ``advantage="mc"`` there is no critic: every ``group_size`` neighbouring
     environments start alike, and an episode's advantage is how its return compares
@@ -149,6 +150,8 @@ class RolloutCollector:
             )
         if self._prepare is not None:
             self._prepare(rollout)
+        if keys.TIME_LEFT in self._gae.value_network.in_keys:
+            self._add_time_left(rollout)
         _check_next(rollout, self._gae.value_network)
         with torch.no_grad():
             rollout = self._gae(rollout)
@@ -159,6 +162,20 @@ class RolloutCollector:
         )
         rollout.set(keys.VALUE_TARGET, value)
         return rollout.set(keys.ADVANTAGE, normalize(rollout[keys.ADVANTAGE], broken))
+
+    def _add_time_left(self, rollout: TensorDictBase) -> None:
+        """Tell the critic how long an episode goes on; after its end nothing follows.
+
+        A critic that knows the end values what is left of the episode, so that the last
+        decision bootstraps from nothing, like one that reached a terminal state.
+        """
+        device = rollout["next", keys.REWARD].device
+        left = 1 - torch.arange(self.decisions + 1, device=device) / self.decisions
+        left = left.expand(len(rollout), -1).unsqueeze(-1)
+        rollout.set(keys.TIME_LEFT, left[:, :-1].contiguous())
+        rollout.set(("next", *keys.TIME_LEFT), left[:, 1:].contiguous())
+        terminated = rollout["next", keys.TERMINATED]
+        rollout.set(("next", keys.TERMINATED), terminated | (left[:, 1:] == 0))
 
     def close(self) -> None:
         """Free the collector."""

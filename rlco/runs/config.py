@@ -19,8 +19,14 @@ from omegaconf import DictConfig, OmegaConf, SCMode
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
 
 from rlco.errors import ConfigError, UnknownNameError
+from rlco.runs.options import (
+    AS_NOW,
+    Option,
+    help_table,
+    options_of,
+    unknown_option,
+)
 from rlco.runs.options import REQUIRED as REQUIRED
-from rlco.runs.options import Option, help_table, options_of, unknown_option
 from rlco.runs.options import option as option
 
 _HELP = ("help", "--help", "-h")
@@ -199,7 +205,16 @@ def _base_settings(
     except UnknownNameError as error:
         problems.append(str(error).rstrip("."))
         return None
-    return _read_yaml(path, options, problems)
+    settings = _read_yaml(path, options, problems)
+    if settings is None or not resumes:
+        return settings
+    # What the run did before an option existed, it goes on to do.
+    written = {setting.key for setting in settings}
+    return settings + [
+        _Setting(key, entry.earlier, str(path))
+        for key, entry in options.items()
+        if key not in written and entry.earlier is not AS_NOW
+    ]
 
 
 def _configs(recipe_path: Path) -> dict[str, Path]:

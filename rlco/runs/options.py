@@ -20,6 +20,8 @@ from rlco.errors import ConfigError, suggest
 
 #: The default of an option that somebody must give.
 REQUIRED: str = MISSING
+#: Where an earlier run's value of an option is the default of today.
+AS_NOW: Any = object()
 
 
 def rename_map(text: str) -> dict[str, str]:
@@ -66,6 +68,7 @@ def option(
     maximum: float | None = None,
     infinite: bool = False,
     may_change: bool = False,
+    earlier: Any = AS_NOW,
 ) -> Any:
     """Declare one option as a dataclass field.
 
@@ -77,6 +80,8 @@ def option(
         maximum: Greatest value allowed.
         infinite: Whether infinity means something; otherwise it is refused, as NaN is.
         may_change: Whether a resumed run may have another value.
+        earlier: Its value where a run is resumed that was started before the option
+            existed; where none is given, the default.
 
     Example:
         >>> @dataclass
@@ -91,6 +96,7 @@ def option(
         "maximum": maximum,
         "infinite": infinite,
         "may_change": may_change,
+        "earlier": earlier,
     }
     if isinstance(default, list | dict):
         return field(default_factory=default.copy, metadata=metadata)
@@ -109,6 +115,7 @@ class Option:
     maximum: float | None = None
     infinite: bool = False
     may_change: bool = False
+    earlier: Any = AS_NOW
 
     @property
     def type_name(self) -> str:

@@ -67,6 +67,7 @@ def co_train(
     alone = options.critic_iterations if learner.critic is not None else 0
     for iteration in run.iterations(options.iterations):
         started = time.perf_counter()
+        learner.anneal((iteration - 1) / options.iterations)
         rollout = collector.collect(iteration)
         collected = time.perf_counter()
         if iteration == 1:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from statistics import fmean
 from typing import Any
 
 from tensordict import TensorDictBase
@@ -39,6 +40,10 @@ class Learner:
         critic_optimizer: Of the critic's own parameters; None without one.
         minibatch: Simulated decisions of a minibatch.
         max_grad_norm: Clip of the policy's gradient norm, both terms together.
+        target_kl: No further pass follows one over which the policy's mean KL
+            divergence from the one that played was larger [nats]; None: all do.
+        lr_final: Both learning rates after the last rollout, as a share of what they
+            are at the first; they change linearly.
     """
 
     policy: Any
@@ -49,7 +54,25 @@ class Learner:
     critic_optimizer: Optimizer | None
     minibatch: int
     max_grad_norm: float = 1.0
+    target_kl: float | None = None
+    lr_final: float = 1.0
     _updates: int = field(default=0, init=False)
+
+    def anneal(self, done: float) -> None:
+        """Set the learning rates to those of a point of the training.
+
+        Called before each rollout. A resumed run sets what an uninterrupted one does.
+
+        Args:
+            done: Share of the rollouts that have been learned from, 0 to 1.
+        """
+        if self.lr_final == 1.0:
+            return
+        share = 1 - (1 - self.lr_final) * done
+        for optimizer in (self.actor_optimizer, self.critic_optimizer):
+            for group in optimizer.param_groups if optimizer is not None else ():
+                first = group.setdefault("initial_lr", group["lr"])
+                group["lr"] = first * share
 
     def update(
         self,
@@ -72,10 +95,11 @@ class Learner:
                 which takes about as long as one pass.
 
         Returns:
-            Means over the minibatches of what the loss reports; ``log_prob_gap``, how
-            far the rollout's own log-probability was off at most; ``first_ratio``, the
-            largest ratio of the first minibatch; and, where there is an anchor, the
-            gradients' comparison in the first minibatch.
+            Means over the minibatches of what the loss reports; ``epochs``, the passes
+            that were made; ``log_prob_gap``, how far the rollout's own log-probability
+            was off at most; ``first_ratio``, the largest ratio of the first minibatch;
+            and, where there is an anchor, the gradients' comparison in the first
+            minibatch.
 
         Raises:
             NonFiniteError: The loss, its gradient or a weight is NaN or infinite. No
@@ -87,7 +111,8 @@ class Learner:
         self._updates = 0
         sums: dict[str, float] = {}
         minibatches = 0
-        for _ in range(epochs):
+        for epoch in range(1, epochs + 1):
+            divergences = []
             for batch in self.buffer:
                 if minibatches == 0 and keys.REAL in batch:
                     row |= gradient_agreement(self.loss, batch)
@@ -98,6 +123,11 @@ class Learner:
                 minibatches += 1
                 for name, value in out.items():
                     sums[name] = sums.get(name, 0.0) + float(value.detach())
+                if self.target_kl is not None:
+                    divergences.append(float(out["kl_approx"].detach()))
+            row["epochs"] = epoch
+            if self.target_kl is not None and fmean(divergences) > self.target_kl:
+                break
         self._check_weights()
         return row | {name: total / minibatches for name, total in sums.items()}
 

@@ -55,8 +55,8 @@ class StageTwoOptions(AugmentOptions):
     )
     heldout_episodes: str = option("", "episodes of heldout_demos; empty: all")
     real_coeff: float = option(0.2, "beta, weight of the real anchor", minimum=0)
-    iterations: int = option(50, "rollouts", minimum=1, may_change=True)
-    num_envs: int = option(128, "episodes of a rollout", minimum=1)
+    iterations: int = option(100, "rollouts", minimum=1, may_change=True)
+    num_envs: int = option(32, "episodes of a rollout", minimum=1)
     horizon: int | None = option(
         None,
         "control steps of a training episode, truncated; null: the task's",
@@ -65,23 +65,40 @@ class StageTwoOptions(AugmentOptions):
     backend: Literal["native", "robosuite"] = option("native", "who steps the model")
     reward: Literal["shaped", "sparse"] = option("shaped", "reward of a control step")
     epochs: int = option(4, "passes over a rollout", minimum=1)
-    minibatch: int = option(512, "simulated decisions of a minibatch", minimum=1)
+    target_kl: float | None = option(
+        None,
+        "no further pass follows one whose mean KL divergence is larger [nats]; null: "
+        "all passes",
+        minimum=0,
+    )
+    minibatch: int = option(128, "simulated decisions of a minibatch", minimum=1)
     real_rows: int = option(128, "real rows of a minibatch", minimum=1)
     lr: float = option(
         2e-4, "learning rate of the policy", minimum=0, maximum=LARGEST_LR
+    )
+    lr_final: float = option(
+        1.0,
+        "learning rates after the last rollout, as a share of the first",
+        minimum=0,
+        maximum=1,
     )
     clip: float = option(0.2, "PPO's clip of the ratio", minimum=0)
     advantage: Literal["gae", "mc"] = option(
         "gae", "by a critic, or by returns within groups that start alike"
     )
     group_size: int = option(8, "mc: episodes of a group", minimum=2)
-    gamma: float = option(0.9, "gae: discount a decision", minimum=0, maximum=1)
+    gamma: float = option(0.97, "gae: discount a decision", minimum=0, maximum=1)
     lmbda: float = option(0.95, "GAE's lambda", minimum=0, maximum=1)
     critic: Literal["network", "head"] = option(
         "network", "gae: of its own, or a head on a token policy's state"
     )
     critic_hidden: list[int] = option(
         [256, 256], "gae: width of each hidden layer of the critic", minimum=1
+    )
+    time_left: bool = option(
+        True,
+        "gae: the critic reads how much of the episode is left",
+        earlier=False,
     )
     critic_lr: float = option(
         1e-3, "gae: learning rate of the critic", minimum=0, maximum=LARGEST_LR
@@ -97,7 +114,7 @@ class StageTwoOptions(AugmentOptions):
         "policy that is saved: the last one, or that of the evaluation with the "
         "highest success in train_domain",
     )
-    eval_every: int = option(10, "rollouts between evaluations", minimum=1)
+    eval_every: int = option(20, "rollouts between evaluations", minimum=1)
     eval_episodes: int = option(64, "episodes of an evaluation; 0: none", minimum=0)
     eval_domains: list[str] = option(
         ["sim", "stand_in"],
@@ -239,13 +256,14 @@ def make_critic(options: StageTwoOptions, policy: ChunkPolicy) -> Any:
 
     if options.advantage == "mc":
         return None
+    hidden, time_left = options.critic_hidden, options.time_left
     if options.critic == "head":
-        return ValueHead(policy, hidden=options.critic_hidden)
+        return ValueHead(policy, hidden=hidden, time_left=time_left)
     sizes: dict[str, Any] = task_sizes(named_task(options.task))
     # The simulator knows the poses, whether or not the policy may: no need of images.
     knows_poses = bool(sizes["environment_state_size"])
     image = None if knows_poses else policy.arguments.get("image")
-    critic = ValueNetwork(hidden=options.critic_hidden, image=image, **sizes)
+    critic = ValueNetwork(hidden=hidden, image=image, time_left=time_left, **sizes)
     # What both read they normalise alike.
     critic.encoder.load_state_dict(policy.encoder.state_dict(), strict=False)
     return critic
@@ -341,4 +359,6 @@ def make_learner(
         else torch.optim.Adam(critic.own_parameters(), lr=options.critic_lr),
         minibatch=options.minibatch,
         max_grad_norm=options.max_grad_norm,
+        target_kl=options.target_kl,
+        lr_final=options.lr_final,
     )

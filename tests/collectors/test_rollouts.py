@@ -143,6 +143,35 @@ def test_advantages_of_a_rollout_agree_with_a_recursion_and_are_normalised() -> 
     collector.close()
 
 
+class TellsTheTime(ValueIsFirstNumber):
+    """A critic whose value is the share of the episode that is left."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.in_keys = [keys.STATE, keys.TIME_LEFT]
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        return tensordict.set(keys.STATE_VALUE, tensordict.get(keys.TIME_LEFT))
+
+
+def test_a_critic_that_knows_the_end_bootstraps_from_nothing_beyond_it() -> None:
+    collector, _, _ = make_collector(TellsTheTime())
+    rollout = collector.collect(0)
+    third = 1 / 3
+    left = rollout[keys.STATE_VALUE][0].flatten()
+    torch.testing.assert_close(left, torch.tensor([1.0, 2 * third, third]))
+    # gamma = 0.5, lambda = 0.8: targets are r_0 + 0.5 (0.2 V_1 + 0.8 target_1), ...,
+    # and the last one is the last reward alone: nothing follows.
+    reward = rollout["next", keys.REWARD][..., 0]
+    last = reward[:, 2]
+    middle = reward[:, 1] + 0.5 * (0.2 * third + 0.8 * last)
+    first = reward[:, 0] + 0.5 * (0.2 * 2 * third + 0.8 * middle)
+    torch.testing.assert_close(
+        rollout[keys.VALUE_TARGET][..., 0], torch.stack([first, middle, last], -1)
+    )
+    collector.close()
+
+
 @pytest.mark.slow
 def test_iteration_k_plays_the_kth_episodes_whatever_was_played_before() -> None:
     collector, _, _ = make_collector()

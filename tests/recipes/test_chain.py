@@ -308,7 +308,7 @@ def test_quickstart_runs_to_its_report(
     )
     rows = json.loads((folder / "results.json").read_text())["rows"]
     got = {(row["method"], row["domain"]) for row in rows}
-    methods = ("real_only", "sft", "rl_co")
+    methods = ("real_only", "sft", "rl_only", "rl_co")
     assert got == {(m, d) for m in methods for d in ("sim", "stand_in")}
     page = (folder / "report.html").read_text()
     for word in (

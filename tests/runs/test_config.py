@@ -185,6 +185,30 @@ def test_resume_takes_the_runs_options_and_lets_only_some_change(
     )
 
 
+@dataclass
+class Later(Config):
+    """The recipe's options, some versions later."""
+
+    careful: bool = option(True, "as it is done now", earlier=False)
+    margin: float = option(0.5, "of something that was there before")
+
+
+def test_a_run_goes_on_as_it_did_before_an_option_existed(
+    recipe: Path, tmp_path: Path
+) -> None:
+    saved = parse(Config, ["data=x", "seed=4"], recipe)
+    (tmp_path / "config.yaml").write_text(to_yaml(saved, leave_out=("out", "resume")))
+    resumed = parse(Later, [f"resume={tmp_path}"], recipe)
+    assert (resumed.careful, resumed.margin, resumed.seed) == (False, 0.5, 4)
+    with pytest.raises(ConfigError, match="careful cannot change on resume"):
+        parse(Later, [f"resume={tmp_path}", "careful=true"], recipe)
+    # A run that knows the option keeps what it was started with, and a new one, and
+    # one from a YAML file, does as is done now.
+    (tmp_path / "config.yaml").write_text("data: x\ncareful: true\n")
+    assert parse(Later, [f"resume={tmp_path}"], recipe).careful
+    assert parse(Later, ["config=debug"], recipe).careful
+
+
 def test_resume_of_no_run_says_so(recipe: Path) -> None:
     assert problems(recipe, "resume=nowhere") == (
         "resume='nowhere' is not a run directory: it has no config.yaml; "

@@ -58,6 +58,9 @@ class Diary:
     def state(self) -> str:
         return "state"
 
+    def anneal(self, done: float) -> None:
+        self.happened.append(("annealed", done))
+
     def update(
         self,
         rollout: TensorDictBase,
@@ -101,12 +104,14 @@ def test_an_iteration_is_collected_learned_measured_written_and_saved() -> None:
         "success_sim": 0.25,
     }
     assert diary.happened == [
+        ("annealed", 0.0),  # before the policy plays
         ("collected", 1),
         ("checked", 2),  # before anything is learned
         ("updated", 3, False),  # the critic alone
         ("measured", 1),
         ("row", 1, {"frames": 6, **row}),
         ("saved", 1, "state"),
+        ("annealed", 0.5),
         ("collected", 2),
         ("updated", 3, True),
         ("measured", 2),
@@ -137,7 +142,7 @@ def test_without_a_critic_the_policy_learns_from_the_first_rollout() -> None:
 def test_a_resumed_run_goes_on_after_its_checkpoint() -> None:
     diary = Diary(saved=1)
     loop(diary)
-    assert diary.happened[:2] == [("loaded", 1), ("collected", 2)]
+    assert diary.happened[:3] == [("loaded", 1), ("annealed", 0.5), ("collected", 2)]
     assert not [entry for entry in diary.happened if entry[0] == "checked"]
 
 
@@ -149,4 +154,4 @@ def test_what_ends_the_first_check_ends_the_loop() -> None:
 
     with pytest.raises(ZeroDivisionError):
         next(co_train(options(), diary, diary, diary, check_first=fail))
-    assert diary.happened == [("collected", 1)]
+    assert diary.happened == [("annealed", 0.0), ("collected", 1)]

@@ -20,7 +20,9 @@ from rlco.training import Learner
 LOG_PROB = ("vla_action", "log_probs")
 
 
-def make_learner(*, critic: bool = True, anchored: bool = True) -> Learner:
+def make_learner(
+    *, critic: bool = True, anchored: bool = True, **options: Any
+) -> Learner:
     """Return a learner of minibatches of 8 decisions and, anchored, 4 real rows."""
     torch.manual_seed(0)
     policy, value = make_networks()
@@ -49,6 +51,7 @@ def make_learner(*, critic: bool = True, anchored: bool = True) -> Learner:
         torch.optim.Adam(policy.parameters(), 1e-2),
         torch.optim.Adam(value.parameters(), 1e-2) if critic else None,
         minibatch=8,
+        **options,
     )
 
 
@@ -97,6 +100,42 @@ def test_the_critic_can_be_trained_alone() -> None:
     assert torch.equal(weights(learner.policy), before[0])
     assert not torch.equal(weights(learner.critic), before[1])
     assert told["max_ratio"] == pytest.approx(1.0, abs=1e-5)
+
+
+def test_a_pass_that_went_too_far_is_the_last_one() -> None:
+    def passes(target_kl: float | None, **options: bool) -> float:
+        learner = make_learner(target_kl=target_kl)
+        return learner.update(rollout(learner), epochs=5, **options)["epochs"]
+
+    free = make_learner()
+    one = free.update(rollout(free), epochs=1)["kl_approx"]
+    assert one > 1e-3  # after the first step of the first pass
+    assert passes(None) == passes(1e3) == 5
+    assert passes(one * 0.99) == 1
+    assert 1 < passes(one * 1.01) < 5
+    # The critic alone moves no policy, and learns from all passes.
+    assert passes(0.0, train_policy=False) == 5
+
+
+def test_learning_rates_fall_linearly_and_stay_so_where_a_run_is_resumed() -> None:
+    learner = make_learner(lr_final=0.2)
+
+    def rates(one: Learner) -> list[float]:
+        both = (one.actor_optimizer, one.critic_optimizer)
+        return [part.param_groups[0]["lr"] for part in both if part is not None]
+
+    learner.anneal(0.0)
+    assert rates(learner) == pytest.approx([1e-2, 1e-2])
+    learner.anneal(0.5)
+    assert rates(learner) == pytest.approx([0.6e-2, 0.6e-2])
+    resumed = make_learner(lr_final=0.2)
+    resumed.load(copy.deepcopy(learner.state()))
+    resumed.anneal(0.75)
+    learner.anneal(0.75)
+    assert rates(resumed) == rates(learner) == pytest.approx([0.4e-2, 0.4e-2])
+    constant = make_learner()
+    constant.anneal(0.75)
+    assert rates(constant) == [1e-2, 1e-2]
 
 
 def test_without_critic_and_anchor_the_policy_alone_is_trained() -> None:

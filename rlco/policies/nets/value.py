@@ -5,13 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
 from rlco.errors import ConfigError
-from rlco.keys import STATE_VALUE
-from rlco.policies.nets.encoder import ObservationEncoder, Quantiles
+from rlco.keys import STATE_VALUE, TIME_LEFT
+from rlco.policies.nets.encoder import ObservationEncoder, Quantiles, read
 from rlco.policies.nets.image_encoder import ImageArguments
 from rlco.policies.nets.mlp import Activation, Mlp
 
@@ -31,6 +32,10 @@ class ValueNetwork(TensorDictModuleBase):
         hidden: width of each hidden layer.
         activation: "silu" or "tanh".
         layer_norm: whether hidden layers are normalised.
+        time_left: whether it reads ``("observation", "time_left")`` [B, 1], too. What
+            is still to come depends on how long an episode goes on, which nothing else
+            in an observation tells (Pardo et al., arXiv 1712.00378). Calls without
+            that entry then raise DataError.
 
     Raises:
         ConfigError: sizes that are not positive, or an unknown activation.
@@ -54,20 +59,22 @@ class ValueNetwork(TensorDictModuleBase):
         hidden: Sequence[int] = (256, 256),
         activation: Activation = "silu",
         layer_norm: bool = False,
+        time_left: bool = False,
     ) -> None:
         super().__init__()
         self.encoder = ObservationEncoder(
             state_size, environment_state_size, num_instructions, image
         )
         self.network = Mlp(
-            self.encoder.size,
+            self.encoder.size + time_left,
             1,
             hidden=hidden,
             activation=activation,
             layer_norm=layer_norm,
             gain=1.0,
         )
-        self.in_keys = self.encoder.in_keys
+        self.time_left = time_left
+        self.in_keys = _in_keys(self.encoder.in_keys, time_left)
         self.out_keys = [STATE_VALUE]
 
     def set_normalization(
@@ -89,7 +96,10 @@ class ValueNetwork(TensorDictModuleBase):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``state_value`` [B, 1] into ``tensordict``."""
-        tensordict.set(STATE_VALUE, self.network(self.encoder(tensordict)))
+        features = self.encoder(tensordict)
+        if self.time_left:
+            features = _with_time_left(features, tensordict)
+        tensordict.set(STATE_VALUE, self.network(features))
         return tensordict
 
 
@@ -104,6 +114,7 @@ class ValueHead(TensorDictModuleBase):
         policy: offers ``first_state(td)`` [B, width].
         hidden: width of each hidden layer of the head.
         detach: whether the critic's gradient stops at the policy.
+        time_left: whether it reads the time left, too, see `ValueNetwork`.
 
     Raises:
         ConfigError: a policy without such a state.
@@ -119,7 +130,12 @@ class ValueHead(TensorDictModuleBase):
     """
 
     def __init__(
-        self, policy: Any, *, hidden: Sequence[int] = (256,), detach: bool = True
+        self,
+        policy: Any,
+        *,
+        hidden: Sequence[int] = (256,),
+        detach: bool = True,
+        time_left: bool = False,
     ) -> None:
         super().__init__()
         if not callable(getattr(policy, "first_state", None)):
@@ -129,17 +145,30 @@ class ValueHead(TensorDictModuleBase):
                     "from; use a ValueNetwork"
                 ]
             )
-        self.policy, self.detach = policy, detach
-        self.head = Mlp(policy.arguments["width"], 1, hidden=hidden)
-        self.in_keys = policy.in_keys
+        self.policy, self.detach, self.time_left = policy, detach, time_left
+        self.head = Mlp(policy.arguments["width"] + time_left, 1, hidden=hidden)
+        self.in_keys = _in_keys(policy.in_keys, time_left)
         self.out_keys = [STATE_VALUE]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write ``state_value`` [B, 1] into ``tensordict``."""
         state = self.policy.first_state(tensordict)
-        tensordict.set(STATE_VALUE, self.head(state.detach() if self.detach else state))
+        state = state.detach() if self.detach else state
+        if self.time_left:
+            state = _with_time_left(state, tensordict)
+        tensordict.set(STATE_VALUE, self.head(state))
         return tensordict
 
     def own_parameters(self) -> list[nn.Parameter]:
         """Return the head's parameters: those that are not the policy's."""
         return list(self.head.parameters())
+
+
+def _in_keys(observed: Sequence[Any], time_left: bool) -> list[Any]:
+    return [*observed, TIME_LEFT] if time_left else list(observed)
+
+
+def _with_time_left(features: torch.Tensor, tensordict: TensorDictBase) -> torch.Tensor:
+    """Append the time left to features [B, F], as a number within [-1, 1]."""
+    left = 2 * read(tensordict, TIME_LEFT) - 1
+    return torch.cat([features, left.to(features)], -1)

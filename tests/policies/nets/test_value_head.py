@@ -1,4 +1,4 @@
-"""A value read from the token policy's own state."""
+"""Critics: on the token policy's own state, and what either kind may read beside."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ import torch
 from policy_cases import observations, tiny
 from torchrl.objectives import ClipPPOLoss
 
-from rlco.errors import ConfigError
-from rlco.policies import ValueHead
+from rlco.errors import ConfigError, DataError
+from rlco.policies import ValueHead, ValueNetwork
 
 
 @pytest.mark.parametrize("detach", [True, False])
@@ -50,6 +50,34 @@ def test_ppo_trains_the_head_and_leaves_the_policys_share_to_the_policy() -> Non
     assert critic is None
     (actor,) = torch.autograd.grad(out["loss_objective"], [policy.network.place])
     assert actor.abs().sum() > 0
+
+
+def critic(kind: str) -> ValueHead | ValueNetwork:
+    if kind == "head":
+        return ValueHead(tiny("token"), hidden=(4,), time_left=True)
+    return ValueNetwork(3, num_instructions=2, hidden=(4,), time_left=True)
+
+
+@pytest.mark.parametrize("kind", ["head", "network"])
+def test_a_critic_may_read_how_long_an_episode_goes_on(kind: str) -> None:
+    torch.manual_seed(0)
+    value, td = critic(kind), observations(5)
+    with pytest.raises(DataError, match=r"no .*'time_left'"):
+        value(td.clone())
+    td["observation", "time_left"] = torch.full((5, 1), 0.5)
+    early = value(td.clone())["state_value"]
+    td["observation", "time_left"] = torch.zeros(5, 1)
+    late = value(td.clone())["state_value"]
+    # Half of an episode is 1 on the network's scale, from -1 at its end to 1.
+    network = value.head if kind == "head" else value.network
+    assert not torch.allclose(early, late)
+    weight = next(network.parameters())
+    with torch.no_grad():
+        weight[:, -1] = 0
+    assert torch.equal(
+        value(td.clone())["state_value"],
+        value(td.set(("observation", "time_left"), torch.ones(5, 1)))["state_value"],
+    )
 
 
 def test_another_kind_has_no_such_state() -> None:
