@@ -59,13 +59,13 @@ class Config(PolicyOptions):
     )
     sim_ratio: float = option(0.5, "alpha of Stage I", minimum=0, maximum=1)
     updates: int = option(1500, "optimiser steps of Stage I", minimum=1)
-    iterations: int = option(50, "rollouts of Stage II", minimum=1)
+    iterations: int = option(40, "rollouts of Stage II", minimum=1)
     num_envs: int = option(32, "episodes per rollout", minimum=1)
     real_coeff: float = option(0.2, "beta of Stage II", minimum=0)
     advantage: Literal["gae", "mc"] = option(
         "gae", "gae: by a critic; mc: by returns within groups of equal initial states"
     )
-    eval_every: int = option(25, "rollouts between evaluations", minimum=1)
+    eval_every: int = option(20, "rollouts between evaluations", minimum=1)
     curve_episodes: int = option(64, "episodes per point of a curve", minimum=1)
     eval_episodes: int = option(
         128, "episodes per method and domain of the comparison", minimum=1
