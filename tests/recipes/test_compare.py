@@ -18,6 +18,7 @@ import pytest
 import yaml
 from recipe_cases import RECIPES, start
 
+from rlco.errors import ConfigError
 from rlco.runs.compare.cells import Store
 from rlco.runs.compare.experiment import read_experiment
 from rlco.runs.compare.jobs import Job, expand
@@ -344,6 +345,28 @@ def test_a_job_without_results_has_failed(
     grid.run()
     assert "has no rows of results" in capsys.readouterr().err
     assert "| first | missing | - | 0 of 3: 3 failed |" in grid.table
+
+
+def test_a_job_may_make_data_that_others_read(grid: Grid) -> None:
+    (grid.folder / "data.py").write_text(
+        "import pathlib, sys\n"
+        "given = dict(argument.split('=', 1) for argument in sys.argv[1:])\n"
+        "pathlib.Path(given['out']).mkdir()\n"
+        "(pathlib.Path(given['out']) / 'rows.txt').write_text(given['seed'])\n"
+    )
+    data = {"script": "data.py", "results": False, "options": {"seed": "{seed}"}}
+    first = grid.content["jobs"]["first"]
+    first["options"]["data"] = "{data}"
+    grid.content["jobs"] = {"data": data, **grid.content["jobs"]}
+    assert grid.run("jobs=1") == ALL
+    made = sorted((grid.folder / "out" / "jobs").glob("data_seed*/run/rows.txt"))
+    assert [path.read_text() for path in made] == ["1", "2", "3"]
+    assert "| beta 4 |" in grid.table
+    assert grid.run() == []
+    # It cannot be compared, and to say that it makes results does not help.
+    grid.content["table"]["methods"]["data"] = {"job": "data"}
+    with pytest.raises(ConfigError, match="has job 'data', which has no results"):
+        read_experiment(grid.write())
 
 
 def test_code_that_changes_while_a_job_runs_is_no_result_of_it(

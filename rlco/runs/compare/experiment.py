@@ -33,6 +33,7 @@ class JobKind:
         options: Templates by option, groups dotted.
         minutes: Expected time on one processor [min].
         curves: Tables in its run folder, as glob patterns, whose evaluations are kept.
+        results: Whether it writes a results.json; one that makes data does not.
         needs: Jobs whose folders its options name.
         variables: What it varies with, those of the jobs it needs among them.
     """
@@ -43,6 +44,7 @@ class JobKind:
     options: Mapping[str, Any]
     minutes: float
     curves: tuple[str, ...]
+    results: bool
     needs: tuple[str, ...]
     variables: tuple[str, ...]
 
@@ -103,10 +105,14 @@ def read_experiment(path: Path) -> Experiment:
           seed: [0, 1, 2]        # earlier values of the first variable run first
           beta: [0, 0.2]
         jobs:                    # each runs once for all values of what it names
+          sim:
+            script: recipes/record_demos.py
+            results: false       # it makes data, and writes no results.json
+            options: {domain: sim, episodes: 40, seed: "{seed}"}
           sft:
             script: recipes/sft.py
             minutes: 2           # expected, on one processor
-            options: {sim_demos: demos/sim, real_demos: demos/real, seed: "{seed}"}
+            options: {sim_demos: "{sim}", real_demos: demos/real, seed: "{seed}"}
           rl:
             script: recipes/rl_co.py
             minutes: 20
@@ -248,7 +254,8 @@ class _Reader:
     ) -> JobKind:
         """Return one job."""
         what = f"job {name}"
-        self.known(content, ("script", "options", "minutes", "curves"), what)
+        known = ("script", "options", "minutes", "curves", "results")
+        self.known(content, known, what)
         options = flat(content.get("options") or {})
         self.problems += [
             f"{what} cannot have the option {own}, which the runner decides; leave it "
@@ -263,6 +270,12 @@ class _Reader:
         if isinstance(minutes, bool) or not isinstance(minutes, int | float):
             self.problems.append(f"{what} has minutes: {minutes!r}, which is no number")
             minutes = 1
+        results = content.get("results", True)
+        if not isinstance(results, bool):
+            self.problems.append(
+                f"{what} has results: {results!r}; give false where its script writes "
+                "no results.json, or leave it out"
+            )
         return JobKind(
             name,
             str(content.get("script")),
@@ -270,6 +283,7 @@ class _Reader:
             options,
             float(minutes),
             tuple(content.get("curves", ["metrics.csv"])),
+            results is not False,
             needs,
             tuple(variable for variable in over if variable in mine),
         )
@@ -363,6 +377,8 @@ class _Reader:
                 f"{what} has job {job!r}{suggest(job, jobs)}; known: {', '.join(jobs)}"
             )
             return Line(label, job, method, curve)
+        if not jobs[job].results:
+            self.problems.append(f"{what} has job {job!r}, which has no results")
         missing = {*jobs[job].variables} - elsewhere - {*named}
         if missing:
             braces = " ".join(f"{{{name}}}" for name in sorted(missing))

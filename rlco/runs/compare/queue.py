@@ -198,7 +198,7 @@ def _cell(job: Job, run: Path, attempts: list[dict[str, Any]]) -> Cell:
         code=job.code.version,
         script=job.kind.script,
         options=job.options({name: f"job:{n.key}" for name, n in job.needs.items()}),
-        rows=results(run),
+        rows=results(run) if job.kind.results else [],
         curves=curves(run, job.kind.curves),
         cpu_seconds=round(sum(one["cpu_seconds"] for one in attempts), 2),
         attempts=len(attempts),
