@@ -55,10 +55,11 @@ class DataError(RlcoError):
 class OutputExistsError(RlcoError):
     """An output folder that exists already; nothing in it was touched."""
 
-    def __init__(self, path: object) -> None:
+    def __init__(self, path: object, *, resumable: bool = False) -> None:
+        more = ", or resume=DIR to continue that run" if resumable else ""
         super().__init__(
             f"output folder {str(path)!r} exists and is not overwritten; "
-            "give another out=DIR, or resume=DIR to continue that run."
+            f"give another out=DIR{more}."
         )
 
 

@@ -5,6 +5,7 @@ lerobot is imported when a writer is made, not before: its import takes ten seco
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -25,7 +26,8 @@ class DemoWriter:
 
     A context manager. Until it is closed without an error the folder holds a mark
     by which ``load_demos`` knows the recording as unfinished, whatever ended it;
-    the episodes saved until an error stay on disk.
+    the episodes saved until an error stay on disk. Where there are none, the folder is
+    removed.
 
     Args:
         path: The new folder.
@@ -195,6 +197,8 @@ class DemoWriter:
             self.close()
         else:
             self._finalize()
+            if not self.saved_episodes:  # nothing to keep, and in the next one's way
+                shutil.rmtree(self.path)
 
     def _create(self, fps: int, robot_type: str | None, video: bool) -> Any:
         from lerobot.datasets import LeRobotDataset

@@ -47,7 +47,7 @@ def create(out: str | None, name: str, seed: int, recipe: str, root: Path) -> Pa
         except OSError as error:
             if path.exists():
                 if out:
-                    raise OutputExistsError(out) from error
+                    raise OutputExistsError(out, resumable=True) from error
                 time.sleep(0.1)  # another run began within this second
                 continue
             raise RlcoError(

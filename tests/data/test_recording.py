@@ -186,6 +186,24 @@ def test_interrupted_recording_is_known_and_its_episodes_are_kept(
     assert load_demos(tmp_path / "set").meta.episode_lengths == (4, 3, 5)
 
 
+def test_a_recording_that_fails_before_its_first_episode_leaves_no_folder(
+    tmp_path: Path,
+) -> None:
+    def failed() -> None:
+        with DemoWriter(tmp_path / "set", fps=20, **NAMES) as writer:
+            writer.add_frame(**frame(0, 0))
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        failed()
+    assert list(tmp_path.iterdir()) == []
+    with DemoWriter(tmp_path / "set", fps=20, **NAMES) as writer:
+        record(writer)  # the corrected program, with the same folder
+    with pytest.raises(OutputExistsError) as caught:
+        DemoWriter(tmp_path / "set", fps=20, **NAMES)
+    assert "resume" not in str(caught.value)
+
+
 def test_killed_recording_is_known(tmp_path: Path) -> None:
     writer = DemoWriter(tmp_path / "set", fps=20, **NAMES)
     record(writer)

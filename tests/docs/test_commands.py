@@ -38,6 +38,7 @@ LESS: dict[str, dict[str, object]] = {
         **{"real_rows": 8, "critic_iterations": 1, "eval_every": 2, "eval_episodes": 2},
     },
     "evaluate": {"episodes": 2},
+    "check_expert": {"episodes": 2},
     "quickstart": {
         **{"sim_demos": 1, "real_demos": 1, "heldout_demos": 1, "updates": 2},
         **{"iterations": 1, "num_envs": 2, "eval_every": 1, "curve_episodes": 2},

@@ -2,22 +2,47 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from expert_cases import solved
 from pages import run_python
 from reach import TASK
+from tray import TASK as TRAY
 
 from rlco import keys
 from rlco.envs import make_env
 from rlco.errors import UnknownNameError
 from rlco.physics.spec.domain import SIM, STAND_IN, Domain
+from rlco.physics.spec.task import Task
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("task", [TASK, TRAY], ids=lambda t: t.name)
 @pytest.mark.parametrize("domain", [SIM, STAND_IN], ids=lambda d: d.name)
-def test_its_expert_solves_episodes(domain: Domain) -> None:
-    assert solved(TASK, domain, 40).mean() >= 0.95
+def test_its_expert_solves_episodes(task: Task, domain: Domain) -> None:
+    assert solved(task, domain, 40).mean() >= 0.95
+
+
+def test_the_tray_is_solved_where_the_cube_lies_in_it_and_is_let_go() -> None:
+    env = make_env(TRAY, num_envs=1)
+    env.reset()
+    state = env.stepper.scene_state()
+    tray = state.goal_position[0, 0]
+    cases = [  # of the cube from the tray's middle [m], opening [m], solved
+        ((0.05, 0.0, 0.024), 0.08, True),
+        ((0.06, 0.0, 0.024), 0.08, False),  # on the wall
+        ((0.0, 0.0, 0.06), 0.08, False),  # above it
+        ((0.0, 0.0, 0.024), 0.04, False),  # still held
+    ]
+    for place, opening, expected in cases:
+        moved = replace(
+            state,
+            object_position=(tray + np.array(place))[None, None],
+            gripper_opening=np.array([opening]),
+        )
+        assert TRAY.success(moved).tolist() == [expected], place
 
 
 def test_it_is_an_environment_that_shows_the_mark() -> None:

@@ -5,20 +5,26 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
 from rlco.errors import ConfigError
 from rlco.physics.spec.task import Task
 
 
-def check_objects(task: Task, objects: Sequence[Any]) -> None:
+def check_objects(
+    task: Task, objects: Sequence[Any], variation: str | None = None
+) -> None:
     """Check what a task's ``make_objects`` returned.
 
     Args:
         task: The task.
         objects: robosuite's objects.
+        variation: The variation that they were made for.
 
     Raises:
-        ConfigError: They are not the task's objects and goals, in this order, or one
-            has a free joint that should not, or none that should.
+        ConfigError: They are not the task's objects and goals, in this order; one has a
+            free joint that should not, or none that should; or a start has another
+            number of poses.
     """
     wanted = [*task.objects, *task.goals]
     names = [one.name for one in objects]
@@ -47,6 +53,17 @@ def check_objects(task: Task, objects: Sequence[Any]) -> None:
             )
     if problems:
         raise ConfigError(problems)
+    loose = [*names[: len(task.objects)], *names[len(wanted) :]]
+    start = task.sample(np.random.default_rng(0), variation)
+    if len(start.object_pose) != len(loose):
+        given = "" if variation is None else f" with variation={variation!r}"
+        raise ConfigError(
+            [
+                f"task {task.name!r}: sample{given} gives {len(start.object_pose)} "
+                f"rows of object_pose, but make_objects returns {len(loose)} objects "
+                f"that move: {', '.join(loose)}"
+            ]
+        )
 
 
 def _moves_freely(one: Any) -> bool:

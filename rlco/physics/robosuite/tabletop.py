@@ -91,7 +91,7 @@ class Tabletop(ManipulationEnv):
         )
         arena.set_origin([0, 0, 0])
         self.objects = self.task.make_objects(self.domain, self.variation)
-        check_objects(self.task, self.objects)
+        check_objects(self.task, self.objects, self.variation)
         self.model = ManipulationTask(arena, [model], self.objects)
         # Marks move between episodes without changes of the compiled model.
         first = len(self.task.objects)

@@ -10,6 +10,15 @@ import numpy as np
 from rlco.errors import ConfigError
 from rlco.physics.spec.task import InitialState, SceneState, Task
 
+_NAMES = (
+    "instructions",
+    "objects",
+    "goals",
+    "environment_state_names",
+    "fixtures",
+    "fixture_joints",
+    "variations",
+)
 #: States that the rules are tried on: their leading axes are (3,).
 TRIED = 3
 
@@ -33,8 +42,8 @@ def check_task(task: Task) -> Task:
         rlco.errors.ConfigError: task 'push_cube': environment_state returns an array \
 of shape (3, 12) for 3 states, not (3, 2): environment_state_names has 2 names.
     """
+    problems = [*_texts(task), *_numbers(task)]
     starts = [task.sample(np.random.default_rng(seed), None) for seed in range(TRIED)]
-    problems = list(_numbers(task))
     for start in starts:
         problems += _start(task, start)
     again = task.sample(np.random.default_rng(0), None)
@@ -52,9 +61,18 @@ of shape (3, 12) for 3 states, not (3, 2): environment_state_names has 2 names.
     return task
 
 
-def _numbers(task: Task) -> Iterator[str]:
+def _texts(task: Task) -> Iterator[str]:
+    for name in _NAMES:
+        value = getattr(task, name)
+        if isinstance(value, str):
+            yield f"{name} is one text, {value!r}; give a tuple of them, ({value!r},)"
+        elif len(set(value)) < len(value):
+            yield f"{name} holds a name twice: {', '.join(value)}"
     if not task.instructions:
         yield "instructions is empty; give at least one sentence"
+
+
+def _numbers(task: Task) -> Iterator[str]:
     for name in ("horizon", "control_frequency", "training_horizon"):
         value = getattr(task, name)
         if value is not None and value < 1:
@@ -88,6 +106,11 @@ def _start(task: Task, start: InitialState) -> Iterator[str]:
             yield (f"sample gives {name} of shape {array.shape}, not {shape}: {what}")
         elif not np.isfinite(array).all():
             yield f"sample gives {name} that is NaN or infinite"
+    if not 0 <= start.gripper_opening <= task.robot.widest:
+        yield (
+            f"sample gives gripper_opening={start.gripper_opening:g}; the fingers open "
+            f"from 0 to {task.robot.widest:g} m"
+        )
     if not 0 <= start.instruction_id < len(task.instructions):
         yield (
             f"sample gives instruction_id={start.instruction_id}, but there are "

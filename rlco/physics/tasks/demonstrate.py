@@ -23,6 +23,8 @@ _logger = logging.getLogger(__name__)
 
 #: Episodes after which an expert is judged.
 MANY = 40
+#: Episodes for each instruction, after which one that none has is missed.
+DRAWS = 20
 #: A tool that moves less than this [m] from one such time [s] to the next stands still,
 #: on average: commands have noise.
 STILL, STILL_TIME = 0.005, 0.5
@@ -109,6 +111,7 @@ def demonstrate(
     Raises:
         ExpertError: If the expert fails in more than half of many episodes, or of those
             with one of the instructions.
+        RlcoError: If no episode has one of the instructions.
         ConfigError: If the parts of a task of yours do not fit each other.
     """
     task, domain = check_task(task), make_domain(domain)
@@ -121,6 +124,7 @@ def demonstrate(
     tried: list[Episode] = []
     while any(wanted.values()):
         _check_expert(task, domain, seed, tried)
+        _check_drawn(task, tried)
         for episode in _batch(task, domain, stepper, seed, len(tried), noise, hold):
             tried.append(episode)
             text = episode.demonstration.instruction
@@ -148,6 +152,24 @@ def _check_expert(task: Task, domain: Domain, seed: int, tried: list[Episode]) -
         if len(group) >= MANY and len(failed) > len(group) / 2:
             reason = _failures(task, domain, seed, group, failed)
             raise ExpertError(reason, seed, failed[0])
+
+
+def _check_drawn(task: Task, tried: list[Episode]) -> None:
+    """Refuse to wait for an instruction that no start has.
+
+    Raises:
+        RlcoError: One was never drawn in so many episodes that it cannot be chance.
+    """
+    if len(tried) < max(MANY, DRAWS * len(task.instructions)):
+        return
+    drawn = {one.demonstration.instruction for one in tried}
+    for index, text in enumerate(task.instructions):
+        if text not in drawn:
+            raise RlcoError(
+                f"none of {len(tried)} episodes of task {task.name!r} has instruction "
+                f"{index}, {text!r}; let sample draw instruction_id among all "
+                "instructions, or leave the sentence out."
+            )
 
 
 def _failures(

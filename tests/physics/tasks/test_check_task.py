@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rlco.envs import make_env
-from rlco.errors import ConfigError
+from rlco.errors import ConfigError, RlcoError
 from rlco.physics.robosuite.check_objects import check_objects
 from rlco.physics.spec.domain import SIM
 from rlco.physics.spec.names import TASK_NAMES
@@ -35,7 +35,7 @@ def test_the_tasks_that_ship_pass(name: str) -> None:
     task = make_task(name)
     assert check_task(task) is task
     for variation in (None, *task.variations):
-        check_objects(task, task.make_objects(SIM, variation))
+        check_objects(task, task.make_objects(SIM, variation), variation)
 
 
 @pytest.mark.parametrize(
@@ -94,6 +94,15 @@ def test_the_tasks_that_ship_pass(name: str) -> None:
             r"no joint_opening, of shape \(1,\)",
         ),
         ({"training_horizon": 0}, "training_horizon=0 must be at least 1"),
+        (
+            {"sample": start(gripper_opening=lambda s: 0.2)},
+            "gripper_opening=0.2; the fingers open from 0 to 0.08 m",
+        ),
+        (
+            {"instructions": "push it"},
+            r"instructions is one text, 'push it'; give a tuple .* \('push it',\)",
+        ),
+        ({"instructions": ("push it",) * 3}, "instructions holds a name twice"),
     ],
 )
 def test_what_does_not_fit_is_named(changes: dict[str, Any], message: str) -> None:
@@ -121,6 +130,30 @@ def test_objects_are_those_that_the_task_names_in_its_order() -> None:
         check_objects(TASK, objects[::-1])
     with pytest.raises(ConfigError, match="must return objects and then goals, red_c"):
         check_objects(TASK, objects[:-1])
+
+
+def test_every_object_that_moves_has_a_pose_at_the_start() -> None:
+    def forgets(rng: np.random.Generator, variation: str | None = None) -> Any:
+        return TASK.sample(rng, None)
+
+    wrong = replace(TASK, sample=forgets)
+    check_objects(wrong, TASK.make_objects(SIM, None))
+    objects = TASK.make_objects(SIM, "distractors")
+    with pytest.raises(ConfigError) as caught:
+        check_objects(wrong, objects, "distractors")
+    (problem,) = caught.value.problems
+    assert "sample with variation='distractors' gives 3 rows" in problem
+    assert "5 objects that move: red_cube, green_cube, blue_cube, tin, box" in problem
+
+
+def test_an_instruction_that_no_start_has_is_not_waited_for() -> None:
+    one = replace(
+        TASK,
+        instructions=("push the red cube onto its mark", "put it in"),
+        sample=start(instruction_id=lambda s: 0),
+    )
+    with pytest.raises(RlcoError, match=r"none of 40 .* instruction 1, 'put it in'"):
+        list(demonstrate(one, "sim", episodes=4, seed=0))
 
 
 def test_goals_stay_where_they_are_and_objects_can_be_moved() -> None:
