@@ -34,7 +34,9 @@ class Config(RunOptions):
         "effects.yaml",
     )
     variation: str | None = option(
-        None, "unseen variation: shapes, colours, initial_states, distractors, camera"
+        None,
+        "unseen variation: shapes, colours, initial_states, distractors, camera, or one "
+        "of your own task's",
     )
     effects: str | None = option(
         None, "effects.yaml: what to add to the domain's simulator"

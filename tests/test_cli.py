@@ -32,7 +32,7 @@ def test_the_list_is_of_all_recipes(capsys: pytest.CaptureFixture[str]) -> None:
     ("given", "said"),
     [
         (["quickstar"], "(did you mean 'quickstart'?)"),
-        (["nothing-like-it"], "recipes are close_loop, compare, evaluate,"),
+        (["nothing-like-it"], "recipes are check_expert, close_loop, compare,"),
         (["list", "all"], "rlco list takes no arguments, not 'all'"),
         (["copy"], "takes the name of one recipe, not 0 arguments"),
         (["copy", "sfd"], "(did you mean 'sft'?)"),
