@@ -34,7 +34,10 @@ log = logging.getLogger("rlco.planar_push")
 #: Stage I by method: sim_ratio, the share of simulated demonstrations.
 STAGE_ONE = {"real_only": 0.0, "sim_only": 1.0, "sft": 0.5}
 #: PPO's numbers, as they were when the map was planned.
-PPO: dict[str, Any] = {"minibatch": 512, "gamma": 0.9, "time_left": False}
+PPO: dict[str, Any] = {
+    **{"minibatch": 512, "gamma": 0.9, "time_left": False},
+    **{"reuse": 0, "lr_final": 1.0},
+}
 
 
 @dataclass

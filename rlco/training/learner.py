@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from statistics import fmean
 from typing import Any
 
-from tensordict import TensorDictBase
+import torch
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor, nn
 from torch.nn.utils import clip_grads_with_norm_
 from torch.optim import Optimizer
@@ -31,6 +32,12 @@ ANCHOR_ROWS = 4096
 class Learner:
     """A policy, its critic where there is one, their loss, rows and optimisers.
 
+    With ``reuse`` a rollout is learned from together with earlier ones. The ratio of
+    their decisions starts at 1 like that of new ones; their advantages, as they were
+    estimated then, are weighted by how much more likely the policy is to decide so now
+    than when it played them, at most 1: truncated importance weights (IMPALA, arXiv
+    1802.01561), apart from the ratio that is clipped (arXiv 2110.00641).
+
     Attributes:
         policy: The actor of the loss.
         critic: None with critic-free advantages; offers ``own_parameters()``.
@@ -44,6 +51,8 @@ class Learner:
             divergence from the one that played was larger [nats]; None: all do.
         lr_final: Both learning rates after the last rollout, as a share of what they
             are at the first; they change linearly.
+        reuse: Earlier rollouts that are learned from again. The buffer's sim side has
+            room for them.
     """
 
     policy: Any
@@ -56,6 +65,8 @@ class Learner:
     max_grad_norm: float = 1.0
     target_kl: float | None = None
     lr_final: float = 1.0
+    reuse: int = 0
+    _earlier: list[TensorDictBase] = field(default_factory=list, init=False)
     _updates: int = field(default=0, init=False)
 
     def anneal(self, done: float) -> None:
@@ -96,10 +107,11 @@ class Learner:
 
         Returns:
             Means over the minibatches of what the loss reports; ``epochs``, the passes
-            that were made; ``log_prob_gap``, how far the rollout's own log-probability
-            was off at most; ``first_ratio``, the largest ratio of the first minibatch;
-            and, where there is an anchor, the gradients' comparison in the first
-            minibatch.
+            that were made; ``reuse_weight``, the mean weight of what is learned from
+            again, if anything is; ``log_prob_gap``, how far the rollout's own
+            log-probability was off at most; ``first_ratio``, the largest ratio of the
+            first minibatch; and, where there is an anchor, the gradients' comparison
+            in the first minibatch.
 
         Raises:
             NonFiniteError: The loss, its gradient or a weight is NaN or infinite. No
@@ -142,11 +154,25 @@ class Learner:
         flat.set(keys.LOG_PROB, computed)
         self.buffer.empty()
         self.buffer.extend(flat)
-        return {"log_prob_gap": float(gap)}
+        row = {"log_prob_gap": float(gap)}
+        weights = [self._add_again(earlier) for earlier in self._earlier]
+        if weights:
+            row["reuse_weight"] = float(torch.cat(weights).mean())
+        self._earlier = [flat, *self._earlier][: self.reuse]
+        return row
+
+    def _add_again(self, flat: TensorDictBase) -> Tensor:
+        """Put an earlier rollout's decisions into the buffer; return their weights."""
+        now = log_probs(self.policy, flat, rows=self.minibatch)
+        weight: Tensor = (now - flat[keys.LOG_PROB]).exp().clamp(max=1.0)
+        advantage = flat[keys.ADVANTAGE] * weight.unsqueeze(-1)
+        again = flat.copy().update({keys.LOG_PROB: now, keys.ADVANTAGE: advantage})
+        self.buffer.extend(again)
+        return weight
 
     def _signal(self, rollout: TensorDictBase) -> dict[str, float]:
         """Compare the anchor with PPO's mean gradient, before the policy moves."""
-        rows = self.buffer.sim[:].reshape(rollout.shape)
+        rows = self.buffer.sim[: rollout.numel()].reshape(rollout.shape)
         groups = rows.split(-(-len(rows) // GROUPS))
         if len(groups) < LEAST_GROUPS:
             return {}
@@ -206,15 +232,24 @@ class Learner:
         return {name: part for name, part in both.items() if part is not None}
 
     def state(self) -> dict[str, Any]:
-        """Return what a checkpoint holds; the rollout is not part of it."""
-        state = {name: dict(part.state_dict()) for name, part in self._parts().items()}
-        return state | {"buffer": self.buffer.state_dict(rows=False)}
+        """Return what a checkpoint holds: of rollouts those to learn from again."""
+        state: dict[str, Any] = {
+            name: dict(part.state_dict()) for name, part in self._parts().items()
+        }
+        state["buffer"] = self.buffer.state_dict(rows=False)
+        if self.reuse:
+            state["earlier"] = [dict(one.flatten_keys("/")) for one in self._earlier]
+        return state
 
     def load(self, state: dict[str, Any]) -> None:
         """Go on from a checkpoint."""
         for name, part in self._parts().items():
             part.load_state_dict(state[name])
         self.buffer.load_state_dict(state["buffer"])
+        self._earlier = [
+            TensorDict(one, [len(one["/".join(keys.LOG_PROB)])]).unflatten_keys("/")
+            for one in state.get("earlier", ())
+        ]
 
     def _parts(self) -> dict[str, Any]:
         names = ("policy", "critic", "actor_optimizer", "critic_optimizer")

@@ -71,16 +71,23 @@ class StageTwoOptions(AugmentOptions):
         "all passes",
         minimum=0,
     )
+    reuse: int = option(
+        1,
+        "earlier rollouts that are learned from again, by truncated importance weights",
+        minimum=0,
+        earlier=0,
+    )
     minibatch: int = option(128, "simulated decisions of a minibatch", minimum=1)
     real_rows: int = option(128, "real rows of a minibatch", minimum=1)
     lr: float = option(
         2e-4, "learning rate of the policy", minimum=0, maximum=LARGEST_LR
     )
     lr_final: float = option(
-        1.0,
+        0.1,
         "learning rates after the last rollout, as a share of the first",
         minimum=0,
         maximum=1,
+        earlier=1.0,
     )
     clip: float = option(0.2, "PPO's clip of the ratio", minimum=0)
     advantage: Literal["gae", "mc"] = option(
@@ -116,9 +123,18 @@ class StageTwoOptions(AugmentOptions):
     )
     eval_every: int = option(20, "rollouts between evaluations", minimum=1)
     eval_episodes: int = option(64, "episodes of an evaluation; 0: none", minimum=0)
+    final_episodes: int | None = option(
+        None,
+        "episodes of the last evaluation, from other initial states; null: as many as "
+        "of the others",
+        minimum=0,
+    )
     eval_domains: list[str] = option(
         ["sim", "stand_in"],
         "domains to evaluate in: names, MODULE:NAME, or paths of effects.yaml files",
+    )
+    final_domains: list[str] = option(
+        [], "further ones for the last evaluation alone, such as locked"
     )
     train_domain: str = option(
         "sim", "domain to train in: a name, MODULE:NAME, or the path of an effects.yaml"
@@ -126,6 +142,13 @@ class StageTwoOptions(AugmentOptions):
     effects_code: str | None = option(
         None, "Python file that registers effects of your own"
     )
+
+    @property
+    def final(self) -> int:
+        """Episodes of the last evaluation: ``final_episodes``, or what null means."""
+        if self.final_episodes is None:
+            return self.eval_episodes
+        return self.final_episodes
 
     def evaluates(self, iteration: int) -> bool:
         """Return whether an iteration ends with an evaluation."""
@@ -343,7 +366,7 @@ def make_learner(
 
     batch_size = options.minibatch + (options.real_rows if real is not None else 0)
     buffer = SimRealReplayBuffer(
-        ReplayBuffer(storage=LazyTensorStorage(rows)),
+        ReplayBuffer(storage=LazyTensorStorage(rows * (1 + options.reuse))),
         real,
         sim_ratio=options.minibatch / batch_size,
         batch_size=batch_size,
@@ -361,4 +384,5 @@ def make_learner(
         max_grad_norm=options.max_grad_norm,
         target_kl=options.target_kl,
         lr_final=options.lr_final,
+        reuse=options.reuse,
     )

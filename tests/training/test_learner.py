@@ -43,7 +43,7 @@ def make_learner(
             real_coeff=0.2 if anchored else 0.0,
         ),
         SimRealReplayBuffer(
-            ReplayBuffer(storage=LazyTensorStorage(16)),
+            ReplayBuffer(storage=LazyTensorStorage(48)),
             real if anchored else None,
             sim_ratio=8 / 12 if anchored else 1.0,
             batch_size=12 if anchored else 8,
@@ -138,6 +138,33 @@ def test_learning_rates_fall_linearly_and_stay_so_where_a_run_is_resumed() -> No
     assert rates(constant) == [1e-2, 1e-2]
 
 
+def test_what_is_learned_from_again_is_weighted_by_how_likely_it_is_now() -> None:
+    learner = make_learner(reuse=1)
+    first, second = rollout(learner), rollout(learner)
+    assert "reuse_weight" not in learner.update(first, epochs=1)  # the policy moves
+    with torch.no_grad():
+        now = learner.policy.get_dist(first).log_prob(first["vla_action", "sample"])
+    weight = (now - first[LOG_PROB]).exp().clamp(max=1.0).flatten()
+    assert 0.2 < weight.min() < 0.99
+    assert (weight == 1.0).any()
+    row = learner.update(second, epochs=1)
+    assert row["reuse_weight"] == pytest.approx(float(weight.mean()), abs=1e-4)
+    assert row["first_ratio"] == pytest.approx(1.0, abs=1e-5)
+    stored = learner.buffer.sim[:]
+    assert len(stored) == 32
+    torch.testing.assert_close(
+        stored["advantage"][:16], second["advantage"].flatten(0, 1)
+    )
+    expected = first["advantage"].flatten() * weight
+    torch.testing.assert_close(stored["advantage"][16:].flatten(), expected)
+    torch.testing.assert_close(stored[LOG_PROB][16:], now.flatten())
+    # Only one earlier rollout is kept, as it was played.
+    learner.update(rollout(learner), epochs=1)
+    assert len(learner.buffer.sim) == 32
+    kept = learner.state()["earlier"]
+    assert [len(one["advantage"]) for one in kept] == [16]
+
+
 def test_without_critic_and_anchor_the_policy_alone_is_trained() -> None:
     learner = make_learner(critic=False, anchored=False)
     before = weights(learner.policy)
@@ -147,13 +174,14 @@ def test_without_critic_and_anchor_the_policy_alone_is_trained() -> None:
     assert learner.state().keys() == {"policy", "actor_optimizer", "buffer"}
 
 
-def test_a_learner_goes_on_from_its_state_as_if_never_stopped() -> None:
-    learner = make_learner()
+@pytest.mark.parametrize("reuse", [0, 2])
+def test_a_learner_goes_on_from_its_state_as_if_never_stopped(reuse: int) -> None:
+    learner = make_learner(reuse=reuse)
     first, second = rollout(learner), rollout(learner)
     learner.update(first, epochs=1)
     state = copy.deepcopy(learner.state())
     expected = learner.update(second, epochs=1)
-    other = make_learner()
+    other = make_learner(reuse=reuse)
     for parameter in (*other.policy.parameters(), *other.critic.parameters()):
         parameter.data.zero_()
     other.load(state)
