@@ -1,0 +1,152 @@
+"""One page on how much of what sim teaches holds for the robot's demonstrations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from html import escape
+from pathlib import Path
+
+from rlco.reporting.html import page, paragraphs, table
+from rlco.runs.whole_files import write_json, write_text
+
+#: What was trained on what and tested on what, by the names of the shares.
+ROWS = {
+    "own": ("simulated demonstrations", "others of these"),
+    "cross": ("simulated demonstrations", "the real ones"),
+    "real_only": ("real demonstrations", "others of these"),
+    "both": ("both, half and half", "real ones that were held out"),
+}
+#: Shares closer than this are not called better or worse: other folds move them so.
+ALIKE = 0.05
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """What `recipes/align.py` measured.
+
+    Attributes:
+        shares: Share of the demonstrated actions' variance that is explained, by
+            ``own``, ``cross``, ``real_only`` and ``both``.
+        by_action: The same of each action number; None where none was moved.
+        actions: Names of the action numbers.
+        probe: How often a linear probe tells the domains apart; 0.5 is chance.
+        sim: Folder of the simulated demonstrations, and how many were trained on.
+        real: Folder of the real demonstrations, and how many there are.
+        folds: In how many parts the real ones were held out.
+    """
+
+    shares: Mapping[str, float]
+    by_action: Mapping[str, Sequence[float | None]]
+    actions: Sequence[str]
+    probe: float
+    sim: tuple[str, int]
+    real: tuple[str, int]
+    folds: int
+
+    def sentences(self) -> list[str]:
+        """Return what was found, in words."""
+        own, cross, alone, both = (self.shares[name] for name in ROWS)
+        found = [
+            f"What {self.sim[1]} simulated demonstrations teach explains "
+            f"{in_percent(own)} of other simulated ones, and {in_percent(cross)} of "
+            f"the {self.real[1]} real ones."
+        ]
+        if cross <= 0:
+            found.append(
+                "So a policy that has seen the simulator alone does worse where the "
+                "robot was shown what to do than one that always does the mean: the "
+                "same observations call for other actions."
+            )
+        elif cross >= own - ALIKE:
+            found.append("So what is learned in the simulator holds for the robot.")
+        else:
+            found.append("So part of what it teaches holds for the robot.")
+        found.append(
+            f"The real demonstrations alone explain {in_percent(alone)} of held-out "
+            f"real ones, together with the simulated ones {in_percent(both)}."
+        )
+        if both > alone + ALIKE:
+            found.append("Simulated demonstrations help imitation here.")
+        elif both < alone - ALIKE:
+            found.append(
+                "Simulated demonstrations harm imitation here: compare with "
+                "sim_ratio=0 before anything else."
+            )
+        else:
+            found.append("Simulated demonstrations change imitation little here.")
+        found.append(
+            f"A linear probe of the policy's features tells the domains apart in "
+            f"{in_percent(self.probe)} of held-out frames (50 % is chance)."
+        )
+        return found
+
+
+def in_percent(share: float) -> str:
+    """Return a share in percent; below 0 the number itself says more.
+
+    Example:
+        >>> in_percent(0.756), in_percent(-1.2)
+        ('76 %', 'none (-1.2)')
+    """
+    return f"{100 * share:.0f} %" if share > 0 else f"none ({share:.1f})"
+
+
+def write_alignment(folder: Path, found: Alignment) -> Path:
+    """Write ``alignment.json`` and ``report.html`` into a folder; return the latter."""
+    write_json(folder / "alignment.json", asdict(found))
+    title = (
+        f"The simulated demonstrations explain {in_percent(found.shares['cross'])} of "
+        "what the robot was shown"
+    )
+    shares = [
+        [escape(trained), escape(tested), in_percent(found.shares[name])]
+        for name, (trained, tested) in ROWS.items()
+    ]
+    actions = [
+        [escape(name), *(_cell(found.by_action[row][k]) for row in ROWS)]
+        for k, name in enumerate(found.actions)
+    ]
+    body = "\n".join(
+        [
+            f'<header>\n<p class="kicker">rlco · align</p>\n<h1>{escape(title)}</h1>\n'
+            "</header>",
+            paragraphs(found.sentences()),
+            "<h2>Explained of the demonstrated actions</h2>",
+            table(["trained on", "tested on", "explained"], shares),
+            paragraphs(
+                [
+                    "The share of the variance of demonstrated action chunks that the "
+                    "policy's most likely actions explain, in units of the normalised "
+                    "action: 100 % is what was demonstrated, 0 the demonstrations' "
+                    "mean. Noise of the demonstrations cannot be explained. "
+                    f"Real episodes are held out in {found.folds} parts, each once."
+                ]
+            ),
+            "<h2>By action number</h2>",
+            table(
+                ["action", *(f"{a} → {b}" for a, b in ROWS.values())],
+                actions,
+            ),
+            "<h2>How to read it</h2>",
+            paragraphs(
+                [
+                    "Reinforcement learning in the simulator can carry over to the "
+                    "robot only where the simulator calls for the same actions. How "
+                    "success, and the anchor's gain, went with this number in "
+                    "push_cube is in the documentation (Experiments: alignment).",
+                    "No success is predicted here: a policy that explains little may "
+                    "still reach its goal another way, and a few demonstrations "
+                    "explain little of each other.",
+                ]
+            ),
+            f'<p class="quiet">{escape(found.sim[0])} · {escape(found.real[0])}</p>',
+        ]
+    )
+    path = folder / "report.html"
+    write_text(path, page(title, body))
+    return path
+
+
+def _cell(share: float | None) -> str:
+    return "not moved" if share is None else in_percent(share)
