@@ -35,8 +35,8 @@ class Config(RunOptions):
     )
     variation: str | None = option(
         None,
-        "unseen variation: shapes, colours, initial_states, distractors, camera, or one "
-        "of your own task's",
+        "unseen variation: shapes, colours, initial_states, distractors, camera, or "
+        "one of your own task's",
     )
     effects: str | None = option(
         None, "effects.yaml: what to add to the domain's simulator"
@@ -52,10 +52,10 @@ class Config(RunOptions):
 def main(config: Config) -> None:
     """Evaluate, film, and write results.json."""
     from rlco.evaluation import (
-        EVALUATION_SEED,
         evaluate,
         evaluation_domains,
         evaluation_env,
+        final_states_seed,
         record_video,
     )
     from rlco.physics.effects import load_code
@@ -75,7 +75,7 @@ def main(config: Config) -> None:
         "backend": config.backend,
         "variation": config.variation,
         "effects": config.effects,
-        "seed": EVALUATION_SEED + config.seed,
+        "seed": final_states_seed(config.seed),
     }
     env = evaluation_env(
         config.task,

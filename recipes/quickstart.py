@@ -66,7 +66,7 @@ class Config(PolicyOptions):
         "gae", "gae: by a critic; mc: by returns within groups of equal initial states"
     )
     eval_every: int = option(20, "rollouts between evaluations", minimum=1)
-    curve_episodes: int = option(64, "episodes per point of a curve", minimum=1)
+    curve_episodes: int = option(32, "episodes per point of a curve", minimum=1)
     eval_episodes: int = option(
         128, "episodes per method and domain of the comparison", minimum=1
     )
@@ -75,6 +75,9 @@ class Config(PolicyOptions):
         ["sim", "stand_in"],
         "domains to compare in: names, MODULE:NAME, or paths of effects.yaml files; "
         "the last one is filmed",
+    )
+    final_domains: list[str] = option(
+        [], "further ones for the comparison alone, not for curves, such as locked"
     )
     train_domain: str = option(
         "sim",
@@ -131,8 +134,8 @@ def stage_two(
     )
 
 
-def check(config: Config) -> dict[str, Domain]:
-    """Check all options; return the domains to compare in, by their names."""
+def check(config: Config) -> tuple[dict[str, Domain], dict[str, Domain]]:
+    """Check all options; return the domains of the curves, and all to compare in."""
     from rlco.evaluation import evaluation_domains
     from rlco.physics.effects import load_code
     from rlco.physics.tasks.make_task import make_task
@@ -146,13 +149,15 @@ def check(config: Config) -> dict[str, Domain]:
         raise ConfigError(["eval_domains=[] leaves nowhere to compare; give one"])
     make_task(config.task)
     load_code(config.effects_code)
+    train_domain = config.train_domain
     domains = evaluation_domains(
-        config.task, config.eval_domains, train_domain=config.train_domain
+        config.task, config.eval_domains, train_domain=train_domain
     )
+    further = evaluation_domains(config.task, config.final_domains)
     nowhere = {"sim": "", "real": "", "heldout": ""}
     check_stage_two(stage_two(config, Path(), nowhere, "rl_co"))
     check_stage_one(stage_one(config, nowhere, "sft"))
-    return domains
+    return domains, domains | further
 
 
 # -- Record, imitate, reinforce, compare -------------------------------------------
@@ -296,20 +301,19 @@ def compare(
 
     What the last method gains over the others is printed with its paired interval.
     """
-    from rlco.evaluation import EVALUATION_SEED, evaluate, evaluation_env
+    from rlco.evaluation import evaluate, evaluation_env, final_states_seed
     from rlco.reporting.differences import last_differences
 
     rows = []
     one = next(iter(policies.values()))
     for name, domain in domains.items():
-        # The initial states differ from those of the learning curves.
         env = evaluation_env(
             config.task,
             domain,
             chunk=one.chunk,
             episodes=config.eval_episodes,
             image_size=one.image_size,
-            seed=EVALUATION_SEED + 1 + config.seed,
+            seed=final_states_seed(config.seed),
         )
         for method, policy in policies.items():
             result = evaluate(policy, env, config.eval_episodes)
@@ -328,9 +332,13 @@ def compare(
 
 
 def draw(
-    config: Config, run: Run, rows: list[ResultRow], policies: dict[str, Any]
+    config: Config,
+    run: Run,
+    rows: list[ResultRow],
+    policies: dict[str, Any],
+    curves: list[str],
 ) -> None:
-    """Draw the figures of the report."""
+    """Draw the figures of the report, with curves of these domains."""
     from rlco.reporting import plots
     from rlco.reporting.stage_figures import draw_stages
 
@@ -341,7 +349,7 @@ def draw(
             for method in ("rl_only", "rl_co")
             if method in policies
         },
-        list(dict.fromkeys(row["domain"] for row in rows)),
+        curves,
         run.plots,
         episodes=config.curve_episodes,
     )
@@ -379,13 +387,13 @@ def main(config: Config) -> None:
     """Run the chain, and write the report."""
     from rlco.reporting.report import write_report
 
-    domains = check(config)
+    domains, final = check(config)
     with Run(config, "quickstart") as run:
         demos = record(config, run.path / "data")
         policies = train(config, run, demos, domains)
-        rows = compare(config, policies, domains)
+        rows = compare(config, policies, final)
         run.save_results(rows)
-        draw(config, run, rows, policies)
+        draw(config, run, rows, policies, list(domains))
         if config.film:
             method, policy = list(policies.items())[-1]
             film(config, run, method, policy, list(domains.values())[-1])

@@ -35,14 +35,15 @@ def main(config: Config) -> None:
 
     # What is wrong shows before a folder is made.
     load_code(config.effects_code)
-    evaluated = config.eval_domains if config.eval_episodes else []
-    domains = evaluation_domains(
-        config.task, evaluated, train_domain=config.train_domain
-    )
+    given = {"task": config.task, "train_domain": config.train_domain}
+    curves = config.eval_domains if config.eval_episodes else []
+    last = [*config.eval_domains, *config.final_domains] if config.final else []
+    domains = evaluation_domains(evaluated=curves, **given)
+    final = evaluation_domains(evaluated=last, **given)
     check_keep(config, domains)
     policy, demos = load_stage_two(config)
     with Run(config, "rl_co") as run:
-        run.save_results(train(config, run, policy, demos, domains))
+        run.save_results(train(config, run, policy, demos, domains, final))
         log.info("policy: %s", run.path / "policy")
 
 
@@ -52,21 +53,18 @@ def train(
     policy: ChunkPolicy,
     demos: StageTwoDemos,
     domains: dict[str, Domain],
+    final: dict[str, Domain],
 ) -> list[ResultRow]:
     """Train, evaluate now and then, and save the policy to the folder ``policy``.
 
-    With ``keep=best`` the last policy is saved, too, to ``policy_last``.
+    With ``keep=best`` the last policy is saved, too, to ``policy_last``. It is
+    evaluated in ``domains`` on the way, and in ``final`` at the end.
 
     Returns:
         What each saved policy reaches.
     """
     from rlco.collectors import check_signal, make_collector
-    from rlco.evaluation import (
-        HeldOut,
-        evaluation_envs,
-        result_rows,
-        success_rates,
-    )
+    from rlco.evaluation import HeldOut, evaluation_envs, final_rows, success_rates
     from rlco.losses import CoTrainingLoss, ImitationLoss
     from rlco.policies import save_policy
     from rlco.training.iterations import co_train
@@ -130,12 +128,13 @@ def train(
     folder = "policy" if best is None else "policy_last"
     save_policy(policy, run.path / folder, extra=extra)
     method = "rl_co" if config.real_coeff > 0 else "rl_only"
-    given = {"task": config.task, "seed": config.seed}
-    rows = result_rows(policy, envs, episodes, method=method, **given)
+    given = {"method": method, "task": config.task, "seed": config.seed}
+    rows = final_rows(policy, final, config.final, **given)
     if best is not None:
         best.restore()
         save_policy(policy, run.path / "policy", extra=extra | best.description())
-        rows += result_rows(policy, envs, episodes, method=f"{method}_best", **given)
+        given["method"] = f"{method}_best"
+        rows += final_rows(policy, final, config.final, **given)
     return rows
 
 

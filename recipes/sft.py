@@ -22,7 +22,7 @@ from rlco.training.stage_one import StageOneOptions as Config
 if TYPE_CHECKING:
     from rlco.physics.spec.domain import Domain
     from rlco.policies import ChunkPolicy
-    from rlco.reporting.statistics import ImitationRow, ResultRow
+    from rlco.reporting.statistics import ImitationRow
     from rlco.training.stage_one import StageOneDemos
 
 log = logging.getLogger("rlco.sft")
@@ -30,7 +30,7 @@ log = logging.getLogger("rlco.sft")
 
 def main(config: Config) -> None:
     """Check the data, train, and evaluate."""
-    from rlco.evaluation import evaluation_domains
+    from rlco.evaluation import evaluation_domains, final_rows
     from rlco.physics.effects import load_code
     from rlco.training.stage_one import load_stage_one, train_stage_one
 
@@ -44,28 +44,16 @@ def main(config: Config) -> None:
         policy = train_stage_one(config, run, demos)
         rows = []
         if config.task is not None:
-            rows = count_successes(config, config.task, policy, domains)
+            rows = final_rows(
+                policy,
+                domains,
+                config.evaluated,
+                method=method_of(config),
+                task=config.task,
+                seed=config.seed,
+            )
         run.save_results(rows, imitation=compare_actions(config, policy, demos))
         log.info("policy: %s", run.path / "policy")
-
-
-def count_successes(
-    config: Config, task: str, policy: ChunkPolicy, domains: dict[str, Domain]
-) -> list[ResultRow]:
-    """Evaluate the policy in every domain, from the same initial states."""
-    from rlco.evaluation import evaluation_envs, result_rows
-
-    episodes = config.evaluated
-    envs = evaluation_envs(
-        task,
-        domains,
-        chunk=config.chunk,
-        episodes=episodes,
-        image_size=policy.image_size,
-    )
-    return result_rows(
-        policy, envs, episodes, method=method_of(config), task=task, seed=config.seed
-    )
 
 
 def compare_actions(

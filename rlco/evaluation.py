@@ -35,6 +35,23 @@ log = logging.getLogger("rlco.evaluation")
 EVALUATION_SEED = 1_000_003
 
 
+def final_states_seed(seed: int) -> int:
+    """Return the seed of the initial states that final evaluations of a run start from.
+
+    They differ from those of learning curves, so that a policy that was chosen by its
+    curve is counted anew; and all methods of a seed share them, whichever recipe
+    evaluates.
+
+    Args:
+        seed: Of the run.
+
+    Example:
+        >>> final_states_seed(0) - EVALUATION_SEED
+        1
+    """
+    return EVALUATION_SEED + 1 + seed
+
+
 @dataclass(frozen=True)
 class Evaluation:
     """What M episodes of a policy came to, in the order of their initial states.
@@ -161,25 +178,38 @@ def _check_played(policy: Any, env: Any) -> None:
     check_action_units(policy, env)
 
 
-def result_rows(
+def final_rows(
     policy: Any,
-    envs: Mapping[str, ChunkEnv],
+    domains: Mapping[str, Domain],
     episodes: int,
     *,
     method: str,
     task: str,
     seed: int,
 ) -> list[ResultRow]:
-    """Evaluate a policy in each domain's environment; return rows of results.json.
+    """Count a run's policy in each domain; return rows of results.json.
+
+    The initial states are those of `final_states_seed`, so rows of several recipes
+    and one seed can be compared in pairs.
 
     Args:
-        policy: See `evaluate`; has a ``kind``.
-        envs: The environment of each domain, by the domain's name.
-        episodes: Of each.
+        policy: See `evaluate`; has ``chunk``, ``image_size`` and ``kind``.
+        domains: By their names.
+        episodes: In each; 0: no rows.
         method: What the rows call it.
         task: The task's name.
         seed: Of the run.
     """
+    if not episodes:
+        return []
+    envs = evaluation_envs(
+        task,
+        domains,
+        chunk=policy.chunk,
+        episodes=episodes,
+        image_size=policy.image_size,
+        seed=final_states_seed(seed),
+    )
     rows = []
     for domain, env in envs.items():
         result = evaluate(policy, env, episodes)

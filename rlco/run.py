@@ -117,6 +117,7 @@ class Run:
         self, config: RunOptions, recipe: str, *, root: Path = Path("outputs")
     ) -> None:
         self.recipe = recipe
+        self._called = recipe  # where its progress is shown
         self.resumed = config.resume is not None
         if config.resume is not None:
             self.path = Path(config.resume)
@@ -227,7 +228,7 @@ class Run:
         first = (self.step or 0) + 1
         said = time.perf_counter()
         with tqdm(
-            desc=self.recipe,
+            desc=self._called,
             total=total,
             initial=first - 1,
             disable=None,
@@ -243,7 +244,7 @@ class Run:
                     if progress is not None:
                         done = progress(iteration)
                     text = ", ".join(filter(None, (done, self._progress_text)))
-                    log.info("%s: %s", self.recipe, text)
+                    log.info("%s: %s", self._called, text)
 
     @property
     def _progress_text(self) -> str:
@@ -353,7 +354,9 @@ class Run:
         path = self.path / folder
         done = path.exists() and self.resumed
         out, resume = (None, str(path)) if done else (str(path), None)
-        return Run(replace(config, out=out, resume=resume), recipe)
+        run = Run(replace(config, out=out, resume=resume), recipe)
+        run._called = path.name  # two stages may be of one recipe
+        return run
 
     def _log(
         self, file: MetricsFile, step: int, row: Mapping[str, Any], prefix: str

@@ -32,7 +32,7 @@ def test_the_list_is_of_all_recipes(capsys: pytest.CaptureFixture[str]) -> None:
     ("given", "said"),
     [
         (["quickstar"], "(did you mean 'quickstart'?)"),
-        (["nothing-like-it"], "recipes are check_expert, close_loop, compare,"),
+        (["nothing-like-it"], "recipes are align, check_expert, close_loop,"),
         (["list", "all"], "rlco list takes no arguments, not 'all'"),
         (["copy"], "takes the name of one recipe, not 0 arguments"),
         (["copy", "sfd"], "(did you mean 'sft'?)"),

@@ -132,15 +132,17 @@ def _methods(entries: Sequence[Entry]) -> str:
         cells = [label + (" \\*" if any(e.state == "older" for e in mine) else "")]
         for domain in domains or ["success"]:
             runs = [run[domain] for run in found[label].values() if domain in run]
-            cells += _cells(runs, counted)
+            # Of a method that has all its runs nothing more is to come.
+            finished = all(entry.state == "done" for entry in mine)
+            cells += _cells(runs, counted, "-" if finished else "missing")
         lines.append(_row([*cells, _seeds(mine)]))
     return "\n".join(lines)
 
 
-def _cells(runs: Sequence[Rates], counted: bool) -> list[str]:
-    """Return one domain's cells of a method."""
+def _cells(runs: Sequence[Rates], counted: bool, none: str) -> list[str]:
+    """Return one domain's cells of a method, ``none`` where it has no run."""
     if not runs:
-        return ["missing", *["-"] * (3 if counted else 1)]
+        return [none, *["-"] * (3 if counted else 1)]
     end = [run.end for run in runs]
     cells = [_share(mean_interval(end)), f"{min(end):.0%}"]
     if counted:

@@ -39,6 +39,7 @@ LESS: dict[str, dict[str, object]] = {
     },
     "evaluate": {"episodes": 2},
     "check_expert": {"episodes": 2},
+    "align": {"updates": 2},
     "quickstart": {
         **{"sim_demos": 1, "real_demos": 1, "heldout_demos": 1, "updates": 2},
         **{"iterations": 1, "num_envs": 2, "eval_every": 1, "curve_episodes": 2},

@@ -15,6 +15,7 @@ import pytest
 from recipe_cases import RECIPES, RL_CO, Assets, refused, start
 
 import rlco.evaluation
+from rlco.evaluation import EVALUATION_SEED, final_states_seed
 from rlco.policies import load_policy
 from rlco.run import Run
 from rlco.runs.metrics import read_metrics
@@ -259,13 +260,46 @@ def test_the_best_is_chosen_only_by_what_is_measured(
     assert not out.exists()
 
 
-def test_stage_two_counts_what_its_last_evaluation_did(assets: Assets) -> None:
+def test_rows_of_a_seed_are_of_the_same_initial_states(
+    assets: Assets, tmp_path: Path
+) -> None:
     (row,) = json.loads((assets.rl_co / "results.json").read_text())["rows"]
-    last = read_metrics(assets.rl_co / "metrics.csv")[-1]
     assert row["method"] == "rl_co"
-    assert row["successes"] == last["success_sim"] * row["episodes"]
+    assert row["states_seed"] == final_states_seed(row["seed"]) != EVALUATION_SEED
     assert sum(row["outcomes"]) == row["successes"]
     assert len(row["outcomes"]) == len(row["ever"]) == row["episodes"] == 2
+    given = [f"policy={assets.rl_co / 'policy'}", f"seed={row['seed']}", "method=rl_co"]
+    start("evaluate", *given, "domain=sim", "episodes=2", f"out={tmp_path / 'again'}")
+    (again,) = json.loads((tmp_path / "again" / "results.json").read_text())["rows"]
+    assert again == row
+    (sft,) = json.loads((assets.sft / "results.json").read_text())["rows"]
+    assert sft["states_seed"] == final_states_seed(sft["seed"])
+
+
+def test_the_last_evaluation_may_be_longer_than_those_of_the_curve(
+    inputs: dict[str, list[str]], tmp_path: Path
+) -> None:
+    given = [o for o in inputs["rl_co"] if not o.startswith("eval_episodes")]
+    out = tmp_path / "out"
+    more = ["eval_episodes=1", "final_episodes=3", "final_domains=[locked]"]
+    start("rl_co", *given, *more, f"out={out}")
+    rows = json.loads((out / "results.json").read_text())["rows"]
+    assert [row["domain"] for row in rows] == ["sim", "locked"]
+    assert [len(row["outcomes"]) for row in rows] == [3, 3]
+    last = read_metrics(out / "metrics.csv")[-1]
+    assert last["success_sim"] in (0.0, 1.0)
+    assert "success_locked" not in last
+
+
+def test_there_may_be_a_last_evaluation_alone(
+    inputs: dict[str, list[str]], tmp_path: Path
+) -> None:
+    given = [o for o in inputs["rl_co"] if not o.startswith("eval_episodes")]
+    out = tmp_path / "out"
+    start("rl_co", *given, "eval_episodes=0", "final_episodes=1", f"out={out}")
+    (row,) = json.loads((out / "results.json").read_text())["rows"]
+    assert row["episodes"] == 1
+    assert "success_sim" not in read_metrics(out / "metrics.csv")[-1]
 
 
 def test_evaluate_writes_what_it_counted(assets: Assets, tmp_path: Path) -> None:

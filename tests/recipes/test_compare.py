@@ -540,7 +540,10 @@ def test_an_experiment_has_options_that_its_scripts_take_and_no_tuning_seed(
         sys.modules["script"] = script
         spec.loader.exec_module(script)
         folders = dict.fromkeys(job.needs, "folder")
-        given = [f"{key}={value}" for key, value in job.options(folders).items()]
+        options = job.options(folders)
+        if not job.kind.results:
+            options["out"] = "folder"  # of the data, which the runner gives
+        given = [f"{key}={value}" for key, value in options.items()]
         parse(script.Config, given, job.kind.path)
 
 

@@ -57,7 +57,7 @@ def test_the_films_are_stepped_by_the_backend(
     monkeypatch.setattr(evaluation, "make_env", noted)
     filmed(assets, tmp_path / "out", "backend=robosuite", "seed=3")
     assert [type(env.stepper) for env in made] == [RobosuiteStepper] * 2
-    assert [env._seed for env in made] == [evaluation.EVALUATION_SEED + 3] * 2
+    assert [env._seed for env in made] == [evaluation.final_states_seed(3)] * 2
 
 
 SLOW_TASK = """
