@@ -18,7 +18,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from rlco.reporting.comparison import comparison_table, cost_table, curves_of
+from rlco.reporting.comparison import (
+    comparison_table,
+    cost_table,
+    curves_of,
+    prediction_table,
+)
 from rlco.reporting.experiment_results import result_rows, table_entries
 from rlco.reporting.plots import learning_curves, save_figure
 from rlco.run import run_recipe
@@ -106,7 +111,11 @@ def save(experiment: Experiment, jobs: Sequence[Job], store: Store, out: Path) -
     """Write results.json, table.md and curves, and print the tables."""
     table = experiment.table
     entries = table_entries(experiment, jobs, store)
-    text = comparison_table(entries, table.differences) + cost_table(entries)
+    text = (
+        comparison_table(entries, table.differences)
+        + prediction_table(entries, table.predictions)
+        + cost_table(entries)
+    )
     write_json(out / "results.json", {"rows": result_rows(jobs, store)})
     write_text(out / "table.md", text)
     for group in dict.fromkeys(entry.group for entry in entries):

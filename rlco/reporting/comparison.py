@@ -9,8 +9,10 @@ from typing import Any, Literal
 
 from rlco.errors import DataError
 from rlco.reporting.plots import Curve
+from rlco.reporting.rank_correlation import LEAST_GROUPS, Runs, rank_correlation
 from rlco.reporting.statistics import Interval, mean_interval
 from rlco.runs.compare.cells import EVALUATED, ROLLOUT
+from rlco.runs.compare.experiment import Prediction
 
 State = Literal["done", "older", "failed", "missing"]
 
@@ -216,6 +218,71 @@ def _points(mean: Interval) -> str:
     if math.isnan(mean.low):
         return text
     return f"{text} [{100 * mean.low:+.1f}, {100 * mean.high:+.1f}]"
+
+
+def prediction_table(
+    entries: Sequence[Entry], predictions: Sequence[Prediction]
+) -> str:
+    """Return how gains and successes correlate over groups, in Markdown.
+
+    Only seeds count that all three methods have; "" where nothing was predicted.
+
+    Raises:
+        DataError: A method has several results in one domain.
+    """
+    if not predictions:
+        return ""
+    lines = [
+        "\n## Predictions",
+        "",
+        _row(["over the tables above, in", "rank correlation", "tables, seeds"]),
+        "|---|---|---|",
+    ]
+    for prediction in predictions:
+        groups = _prediction_runs(entries, prediction)
+        first, second = prediction.gain
+        what = f"{first} - {second} against {prediction.falls_with}"
+        lines.append(
+            _row(
+                [
+                    f"{what}, {prediction.domain}",
+                    _correlation(groups),
+                    f"{len(groups)}, {sum(len(runs.x) for runs in groups)} in all",
+                ]
+            )
+        )
+    return "\n".join(lines) + "\n"
+
+
+def _prediction_runs(entries: Sequence[Entry], prediction: Prediction) -> list[Runs]:
+    """Return success and gain by group, of the seeds that all three methods have."""
+    domain, groups = prediction.domain, []
+    for group in dict.fromkeys(entry.group for entry in entries):
+        found = _found(entry for entry in entries if entry.group == group)
+        third, first, second = (
+            _ends(found.get(label, {}), domain)
+            for label in (prediction.falls_with, *prediction.gain)
+        )
+        seeds = [seed for seed in third if seed in first and seed in second]
+        if seeds:
+            gains = [first[seed] - second[seed] for seed in seeds]
+            groups.append(Runs([third[seed] for seed in seeds], gains))
+    return groups
+
+
+def _ends(runs: Mapping[Any, Mapping[str, Rates]], domain: str) -> dict[Any, float]:
+    """Return what each seed's run solved at the end in a domain."""
+    return {seed: run[domain].end for seed, run in runs.items() if domain in run}
+
+
+def _correlation(groups: Sequence[Runs]) -> str:
+    if len(groups) < LEAST_GROUPS:
+        return "missing"
+    try:
+        found = rank_correlation(groups)
+    except ValueError:  # all alike
+        return "none: all tables are equal"
+    return f"{found.estimate:+.2f} [{found.low:+.2f}, {found.high:+.2f}]"
 
 
 def cost_table(entries: Sequence[Entry]) -> str:

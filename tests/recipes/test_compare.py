@@ -489,6 +489,10 @@ def test_a_job_that_cannot_be_resumed_begins_anew(grid: Grid) -> None:
             "method; known: beta 0, beta 4, first",
         ),
         (
+            lambda c: c["table"].update(predictions=[{"gain": ["first"]}]),
+            "table's prediction {'gain': ['first']} is not of the form {gain: [A, B], ",
+        ),
+        (
             lambda c: c["table"].update(seed="sed"),
             "table names 'sed' (did you mean 'seed'?), which is no variable",
         ),

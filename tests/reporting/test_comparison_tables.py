@@ -13,7 +13,9 @@ from rlco.reporting.comparison import (
     comparison_table,
     cost_table,
     curves_of,
+    prediction_table,
 )
+from rlco.runs.compare.experiment import Prediction
 
 
 def row(successes: int, domain: str = "sim", **more: Any) -> dict[str, Any]:
@@ -114,3 +116,22 @@ def test_costs_are_means_over_the_jobs_that_there_are() -> None:
     ]
     text = cost_table([*runs, Entry("rl", "", 2, "missing"), *entries("sft", [None])])
     assert lines(text)[1:] == ["| rl | 1.5 |", "| sft | missing |"]
+
+
+def test_a_prediction_counts_the_seeds_that_all_three_methods_have() -> None:
+    # Gains of the anchor of 0.1, 0.3 and 0.6 where sim_only solves 0.9, 0.5 and 0.1.
+    given = []
+    for group, (zero_shot, anchored) in {
+        "a": (9, 6),
+        "b": (5, 8),
+        "c": (1, 11),
+    }.items():
+        given += entries("sim_only", [zero_shot, zero_shot], group=group)
+        given += entries("beta 1", [anchored, anchored], group=group)
+        given += entries("beta 0", [5, None], group=group)
+    prediction = Prediction(("beta 1", "beta 0"), "sim_only", "sim")
+    found = lines(prediction_table(given, [prediction]))
+    assert found[1].startswith("| beta 1 - beta 0 against sim_only, sim | -1.00 [-1.00")
+    assert found[1].endswith("| 3, 3 in all |")
+    assert "| missing |" in prediction_table(given[:6], [prediction])
+    assert prediction_table(given, []) == ""

@@ -67,6 +67,21 @@ class Line:
 
 
 @dataclass(frozen=True)
+class Prediction:
+    """That a method's gain over another falls where a third succeeds.
+
+    Attributes:
+        gain: Two labels, first minus second.
+        falls_with: The label of the third.
+        domain: Where all three are counted.
+    """
+
+    gain: tuple[str, str]
+    falls_with: str
+    domain: str
+
+
+@dataclass(frozen=True)
 class Table:
     """What is compared.
 
@@ -75,6 +90,7 @@ class Table:
         seed: The variable that is averaged over.
         lines: The methods.
         differences: Pairs of labels, first minus second.
+        predictions: Rank correlations over the tables that ``by`` makes.
         curve_episodes: Episodes behind a point of a curve; None: as many as at the end.
     """
 
@@ -82,6 +98,7 @@ class Table:
     seed: str
     lines: tuple[Line, ...]
     differences: tuple[tuple[str, str], ...]
+    predictions: tuple[Prediction, ...]
     curve_episodes: int | None
 
 
@@ -123,6 +140,8 @@ def read_experiment(path: Path) -> Experiment:
             sft: {job: sft, method: sft}
             beta {beta}: {job: rl, curve: metrics.csv}  # drawn, too
           differences: [[beta 0.2, sft], [beta 0.2, beta 0]]
+          # With `by: gap`, the rank correlation of two means over the gaps:
+          # predictions: [{gain: [beta 0.2, beta 0], falls_with: sft, domain: stand_in}]
 
     ``{seed}`` is a variable's value; ``{sft}`` the run folder of the job ``sft`` with
     the same values of the variables that it has. A job may need those written above it.
@@ -312,7 +331,14 @@ class _Reader:
     ) -> Table:
         """Return what is compared."""
         content = self.mapping(given, "table")
-        known = ("by", "seed", "methods", "differences", "curve_episodes")
+        known = (
+            "by",
+            "seed",
+            "methods",
+            "differences",
+            "predictions",
+            "curve_episodes",
+        )
         self.known(content, known, "table")
         by = content.get("by", [])
         by = [by] if isinstance(by, str) else list(by)
@@ -329,30 +355,53 @@ class _Reader:
                 content.get("methods"), "table's methods"
             ).items()
         )
-        pairs = self.differences(content.get("differences") or [], lines, over)
+        labels = {label for line in lines for label in labels_of(line.label, over)}
+        pairs = self.differences(content.get("differences") or [], labels)
+        predictions = self.predictions(content.get("predictions") or [], labels)
         episodes = content.get("curve_episodes")
         if episodes is not None and not isinstance(episodes, int):
             self.problems.append(f"table's curve_episodes is {episodes!r}, no number")
-        return Table(tuple(by), seed, lines, pairs, episodes)
+        return Table(tuple(by), seed, lines, pairs, predictions, episodes)
 
     def differences(
-        self, given: Any, lines: Iterable[Line], over: Mapping[str, tuple[Any, ...]]
+        self, given: Any, labels: Iterable[str]
     ) -> tuple[tuple[str, str], ...]:
         """Return the pairs of labels that are subtracted."""
-        labels = {label for line in lines for label in labels_of(line.label, over)}
         found = []
         for pair in given if isinstance(given, list) else [given]:
             if not (isinstance(pair, list) and len(pair) == 2):
                 self.problems.append(f"table's difference {pair!r} is no pair [A, B]")
                 continue
             found.append((str(pair[0]), str(pair[1])))
-            self.problems += [
-                f"table's difference names {label!r}{suggest(label, labels)}, which is "
-                f"no method; known: {', '.join(sorted(labels))}"
-                for label in found[-1]
-                if label not in labels
-            ]
+            self.labels(found[-1], labels, "table's difference")
         return tuple(found)
+
+    def predictions(self, given: Any, labels: Iterable[str]) -> tuple[Prediction, ...]:
+        """Return the rank correlations that are computed."""
+        found = []
+        known = ("gain", "falls_with", "domain")
+        for one in given if isinstance(given, list) else [given]:
+            gain = one.get("gain") if isinstance(one, dict) else None
+            if not (isinstance(gain, list) and len(gain) == 2 and set(one) == {*known}):
+                self.problems.append(
+                    f"table's prediction {one!r} is not of the form "
+                    "{gain: [A, B], falls_with: C, domain: D}"
+                )
+                continue
+            pair, third = (str(gain[0]), str(gain[1])), str(one["falls_with"])
+            self.labels((*pair, third), labels, "table's prediction")
+            found.append(Prediction(pair, third, str(one["domain"])))
+        return tuple(found)
+
+    def labels(self, named: Iterable[str], known: Iterable[str], what: str) -> None:
+        """Check the labels of methods against those of the table."""
+        known = sorted(known)
+        self.problems += [
+            f"{what} names {label!r}{suggest(label, known)}, which is no method; "
+            f"known: {', '.join(known)}"
+            for label in named
+            if label not in known
+        ]
 
     def line(
         self,
