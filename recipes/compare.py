@@ -22,10 +22,12 @@ from rlco.reporting.comparison import (
     comparison_table,
     cost_table,
     curves_of,
+    prediction_runs,
     prediction_table,
 )
 from rlco.reporting.experiment_results import result_rows, table_entries
 from rlco.reporting.plots import learning_curves, save_figure
+from rlco.reporting.prediction_figure import prediction_figure
 from rlco.run import run_recipe
 from rlco.runs import run_folder
 from rlco.runs.compare.cells import Store
@@ -123,6 +125,14 @@ def save(experiment: Experiment, jobs: Sequence[Job], store: Store, out: Path) -
         if curves := curves_of(mine, table.curve_episodes):
             name = re.sub(r"[^\w.+-]+", "-", f"curves {group}".strip())
             save_figure(learning_curves(curves), out / "plots" / f"{name}.png")
+    for number, prediction in enumerate(table.predictions, 1):
+        figure = prediction_figure(
+            prediction_runs(entries, prediction),
+            prediction.gain,
+            prediction.falls_with,
+            prediction.domain,
+        )
+        save_figure(figure, out / "plots" / f"prediction {number}.png")
     print(text)
     log.info("table: %s", out / "table.md")
 

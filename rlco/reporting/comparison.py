@@ -239,7 +239,7 @@ def prediction_table(
         "|---|---|---|",
     ]
     for prediction in predictions:
-        groups = _prediction_runs(entries, prediction)
+        groups = list(prediction_runs(entries, prediction).values())
         first, second = prediction.gain
         what = f"{first} - {second} against {prediction.falls_with}"
         lines.append(
@@ -254,9 +254,15 @@ def prediction_table(
     return "\n".join(lines) + "\n"
 
 
-def _prediction_runs(entries: Sequence[Entry], prediction: Prediction) -> list[Runs]:
-    """Return success and gain by group, of the seeds that all three methods have."""
-    domain, groups = prediction.domain, []
+def prediction_runs(
+    entries: Sequence[Entry], prediction: Prediction
+) -> dict[str, Runs]:
+    """Return success and gain by group, of the seeds that all three methods have.
+
+    Raises:
+        DataError: A method has several results in one domain.
+    """
+    domain, groups = prediction.domain, {}
     for group in dict.fromkeys(entry.group for entry in entries):
         found = _found(entry for entry in entries if entry.group == group)
         third, first, second = (
@@ -266,7 +272,7 @@ def _prediction_runs(entries: Sequence[Entry], prediction: Prediction) -> list[R
         seeds = [seed for seed in third if seed in first and seed in second]
         if seeds:
             gains = [first[seed] - second[seed] for seed in seeds]
-            groups.append(Runs([third[seed] for seed in seeds], gains))
+            groups[group] = Runs([third[seed] for seed in seeds], gains)
     return groups
 
 

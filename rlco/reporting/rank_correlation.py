@@ -86,4 +86,6 @@ def _spearman(
     other -= other.mean(axis=1, keepdims=True)
     size = np.sqrt((one**2).sum(axis=1) * (other**2).sum(axis=1))
     product = (one * other).sum(axis=1)
-    return np.divide(product, size, out=np.full(len(x), np.nan), where=size > 0)
+    correlations = np.full(len(x), np.nan)
+    np.divide(product, size, out=correlations, where=size > 0)
+    return correlations

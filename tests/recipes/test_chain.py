@@ -143,8 +143,9 @@ def test_without_an_anchor_no_demonstrations_are_read(
 
 # -- keep=best ---------------------------------------------------------------------
 
-# One more rollout than RL_CO, an evaluation after each.
-BEST = ("keep=best", "iterations=4", "eval_every=1")
+# One more rollout than RL_CO, an evaluation after each. With a learning rate that falls
+# a shorter run learns otherwise from the start.
+BEST = ("keep=best", "iterations=4", "eval_every=1", "lr_final=1")
 
 
 def rates_of(monkeypatch: pytest.MonkeyPatch, rates: list[float]) -> None:
@@ -173,7 +174,8 @@ def test_the_policy_of_the_best_evaluation_is_kept(
     rates_of(monkeypatch, [0.25, 0.0, 0.75, 0.75, 0.5])
     start("rl_co", *kept(inputs), f"out={folder}")
     last = [o for o in kept(inputs) if o not in BEST]
-    start("rl_co", *last, "eval_every=1", "iterations=2", f"out={shorter}")
+    shorter_by_two = ("eval_every=1", "iterations=2", "lr_final=1")
+    start("rl_co", *last, *shorter_by_two, f"out={shorter}")
     assert weights(folder / "policy") == weights(shorter / "policy")
     start("rl_co", f"resume={shorter}", "iterations=4")
     assert weights(folder / "policy_last") == weights(shorter / "policy")
@@ -261,7 +263,7 @@ def test_the_best_is_chosen_only_by_what_is_measured(
 
 
 def test_rows_of_a_seed_are_of_the_same_initial_states(
-    assets: Assets, tmp_path: Path
+    assets: Assets, inputs: dict[str, list[str]], tmp_path: Path
 ) -> None:
     (row,) = json.loads((assets.rl_co / "results.json").read_text())["rows"]
     assert row["method"] == "rl_co"
@@ -272,7 +274,10 @@ def test_rows_of_a_seed_are_of_the_same_initial_states(
     start("evaluate", *given, "domain=sim", "episodes=2", f"out={tmp_path / 'again'}")
     (again,) = json.loads((tmp_path / "again" / "results.json").read_text())["rows"]
     assert again == row
-    (sft,) = json.loads((assets.sft / "results.json").read_text())["rows"]
+    given = [o for o in inputs["sft"] if not o.startswith(("updates", "eval_"))]
+    given += ["updates=1", "eval_episodes=1", "eval_domains=[sim]"]
+    start("sft", *given, f"out={tmp_path / 'sft'}")
+    (sft,) = json.loads((tmp_path / "sft" / "results.json").read_text())["rows"]
     assert sft["states_seed"] == final_states_seed(sft["seed"])
 
 

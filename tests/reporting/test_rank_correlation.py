@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from rlco.reporting.prediction_figure import prediction_figure
 from rlco.reporting.rank_correlation import Runs, rank_correlation
 
 
@@ -42,3 +43,16 @@ def test_equal_groups_have_no_order() -> None:
         rank_correlation([Runs([0.5], [k]) for k in range(4)])
     with pytest.raises(ValueError, match="at least 3"):
         rank_correlation([Runs([0.5], [1])] * 2)
+
+
+def test_the_figure_sorts_groups_by_success() -> None:
+    groups = {
+        "far": Runs([0.1, 0.2], [0.3, 0.3]),
+        "near": Runs([0.9, 0.8], [0.0, -0.1]),
+    }
+    figure = prediction_figure(groups, ("beta 1", "beta 0"), "sim_only", "stand_in")
+    left, right = figure.axes
+    assert [label.get_text() for label in left.get_yticklabels()] == ["far", "near"]
+    assert right.get_xlabel() == "beta 1 - beta 0 [points]"
+    gains = [bar[0].get_xdata()[0] for bar in right.containers]
+    assert gains == pytest.approx([30.0, -5.0])
