@@ -22,6 +22,7 @@ from rlco.reporting.comparison import (
     comparison_table,
     cost_table,
     curves_of,
+    overview_table,
     prediction_runs,
     prediction_table,
 )
@@ -113,8 +114,11 @@ def save(experiment: Experiment, jobs: Sequence[Job], store: Store, out: Path) -
     """Write results.json, table.md and curves, and print the tables."""
     table = experiment.table
     entries = table_entries(experiment, jobs, store)
+    several = len({entry.group for entry in entries}) > 1
+    overview = overview_table(entries, table.differences) + "\n" if several else ""
     text = (
-        comparison_table(entries, table.differences)
+        overview
+        + comparison_table(entries, table.differences)
         + prediction_table(entries, table.predictions)
         + cost_table(entries)
     )

@@ -220,6 +220,36 @@ def _points(mean: Interval) -> str:
     return f"{text} [{100 * mean.low:+.1f}, {100 * mean.high:+.1f}]"
 
 
+def overview_table(
+    entries: Sequence[Entry], differences: Sequence[tuple[str, str]] = ()
+) -> str:
+    """Return one table of all groups, in Markdown: a line each for every domain.
+
+    It has the methods' means over seeds, and the differences with Student's t interval
+    of 95 %, paired by seed; `comparison_table` says how many there were.
+
+    Raises:
+        DataError: A method has several results in one domain.
+    """
+    labels = list(dict.fromkeys(entry.label for entry in entries))
+    head = ["success in", *labels, *(f"{a} - {b}" for a, b in differences)]
+    lines = [_row(head), "|---" * len(head) + "|"]
+    for group in dict.fromkeys(entry.group for entry in entries):
+        found = _found(entry for entry in entries if entry.group == group)
+        for domain in _domains(found):
+            ends = {label: _ends(runs, domain) for label, runs in found.items()}
+            cells = [", ".join(part for part in (group, domain) if part)]
+            for label in labels:
+                values = list(ends.get(label, {}).values())
+                cells.append(f"{sum(values) / len(values):.0%}" if values else "-")
+            for first, second in differences:
+                one, other = ends.get(first, {}), ends.get(second, {})
+                gains = [one[seed] - other[seed] for seed in one if seed in other]
+                cells.append(_points(mean_interval(gains)) if gains else "-")
+            lines.append(_row(cells))
+    return "\n".join(lines) + "\n"
+
+
 def prediction_table(
     entries: Sequence[Entry], predictions: Sequence[Prediction]
 ) -> str:
@@ -293,7 +323,8 @@ def _correlation(groups: Sequence[Runs]) -> str:
 
 def cost_table(entries: Sequence[Entry]) -> str:
     """Return what the methods' jobs cost, means over seeds and groups, in Markdown."""
-    lines = ["", "| method | its job, minutes of a processor |", "|---|---|"]
+    head = "| method | its job, minutes of a processor |"
+    lines = ["", "## Cost", "", head, "|---|---|"]
     for label in dict.fromkeys(entry.label for entry in entries):
         minutes = [e.minutes for e in entries if e.label == label and e.minutes]
         mean = f"{sum(minutes) / len(minutes):.1f}" if minutes else "missing"

@@ -13,6 +13,7 @@ from rlco.reporting.comparison import (
     comparison_table,
     cost_table,
     curves_of,
+    overview_table,
     prediction_table,
 )
 from rlco.runs.compare.experiment import Prediction
@@ -116,6 +117,16 @@ def test_costs_are_means_over_the_jobs_that_there_are() -> None:
     ]
     text = cost_table([*runs, Entry("rl", "", 2, "missing"), *entries("sft", [None])])
     assert lines(text)[1:] == ["| rl | 1.5 |", "| sft | missing |"]
+
+
+def test_an_overview_has_a_line_for_each_group_and_domain() -> None:
+    given = [*entries("a", [9, 7], group="near"), *entries("b", [5, 4], group="near")]
+    given += entries("a", [2, 2], group="far")
+    assert lines(overview_table(given, [("a", "b")])) == [
+        "| success in | a | b | a - b |",
+        "| near, sim | 80% | 45% | +35.0 [-28.5, +98.5] |",
+        "| far, sim | 20% | - | - |",
+    ]
 
 
 def test_a_prediction_counts_the_seeds_that_all_three_methods_have() -> None:

@@ -1,0 +1,77 @@
+"""Write the tables and figures of the experiments from their committed cells.
+
+    uv run scripts/write_results.py
+
+Each experiment of benchmarks/experiments that has cells gets a page of all its tables,
+docs/tables/NAME.md, and figures, docs/figures/NAME-*.png. In README.md and the pages of
+docs, what stands between the lines `<!-- results NAME -->` and `<!-- end -->` becomes
+the first table of NAME: of several groups the overview, and what was predicted.
+"""
+
+from __future__ import annotations
+
+import re
+import shutil
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
+BENCHMARKS = ROOT / "benchmarks"
+#: Where the cells of an experiment are, if not in a folder of its name.
+CELLS = dict.fromkeys(("alignment", "two_by_two", "length", "methods"), "push_cube")
+MARKED = re.compile(r"(<!-- results (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def main() -> None:
+    """Write what there are cells for."""
+    first: dict[str, str] = {}
+    for path in sorted((BENCHMARKS / "experiments").glob("*.yaml")):
+        cells = BENCHMARKS / "cells" / CELLS.get(path.stem, path.stem)
+        if any(cells.glob("*.json")):
+            first[path.stem] = write_page(path.stem, path, cells)
+        else:
+            print(f"{path.stem}: no cells yet")
+    for page in (ROOT / "README.md", *sorted(DOCS.glob("*.md"))):
+        text = page.read_text("utf-8")
+        written = MARKED.sub(lambda found: _filled(found, first), text)
+        if written != text:
+            page.write_text(written, "utf-8")
+            print(f"{page.relative_to(ROOT)}: written")
+
+
+def write_page(name: str, experiment: Path, cells: Path) -> str:
+    """Write an experiment's page and figures, and return its first table."""
+    command = [sys.executable, str(ROOT / "recipes" / "compare.py")]
+    command += [f"experiment={experiment.relative_to(ROOT)}"]
+    command += [f"cells={cells.relative_to(ROOT)}", "hours=0", "code=any"]
+    with tempfile.TemporaryDirectory() as out:
+        subprocess.run(
+            [*command, f"out={out}"], check=True, cwd=ROOT, stdout=subprocess.DEVNULL
+        )
+        tables = (Path(out) / "table.md").read_text("utf-8")
+        for figure in sorted(Path(out, "plots").glob("*.png")):
+            kept = f"{name}-{figure.stem.replace(' ', '-')}.png"
+            shutil.copy(figure, DOCS / "figures" / kept)
+    shown = "uv run recipes/compare.py " + " ".join(command[2:])
+    page = DOCS / "tables" / f"{name}.md"
+    page.parent.mkdir(exist_ok=True)
+    page.write_text(f"# {name}\n\n```\n$ {shown}\n```\n\n{tables}", "utf-8")
+    print(f"{page.relative_to(ROOT)}: written")
+    overview, *sections = tables.split("\n## ")
+    predicted = [one for one in sections if one.startswith("Predictions\n")]
+    return "\n\n".join(
+        part.removeprefix("Predictions\n").strip() for part in (overview, *predicted)
+    )
+
+
+def _filled(found: re.Match[str], first: dict[str, str]) -> str:
+    """Return a marked part with its table; as it was, where there is none."""
+    begin, name, end = found.groups()
+    return f"{begin}{first[name]}\n{end}" if name in first else found[0]
+
+
+if __name__ == "__main__":
+    main()
