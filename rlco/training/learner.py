@@ -138,7 +138,9 @@ class Learner:
                 if self.target_kl is not None:
                     divergences.append(float(out["kl_approx"].detach()))
             row["epochs"] = epoch
-            if self.target_kl is not None and fmean(divergences) > self.target_kl:
+            # A policy that stays differs from itself by rounding alone.
+            limit = self.target_kl if train_policy else None
+            if limit is not None and fmean(divergences) > limit:
                 break
         self._check_weights()
         return row | {name: total / minibatches for name, total in sums.items()}
