@@ -156,8 +156,8 @@ def stage_two(config: Config) -> None:
     from planar.evaluation import evaluation_envs, play_all, rates
 
     from rlco.collectors import check_signal
-    from rlco.evaluation import HeldOut
     from rlco.policies import load_task_policy, save_policy
+    from rlco.training.held_out import HeldOut
     from rlco.training.iterations import co_train
     from rlco.training.stage_two import StageTwoOptions
 

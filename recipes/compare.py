@@ -32,10 +32,11 @@ from rlco.reporting.prediction_figure import prediction_figure
 from rlco.run import run_recipe
 from rlco.runs import run_folder
 from rlco.runs.compare.cells import Store
-from rlco.runs.compare.experiment import Experiment, read_experiment
+from rlco.runs.compare.experiment import Experiment
 from rlco.runs.compare.jobs import Job, expand
 from rlco.runs.compare.plan import Plan, expected_minutes, make_plan
 from rlco.runs.compare.queue import Queue
+from rlco.runs.compare.read_experiment import read_experiment
 from rlco.runs.config import REQUIRED, option
 from rlco.runs.whole_files import write_json, write_text
 

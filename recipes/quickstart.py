@@ -208,9 +208,10 @@ def reinforce(
 ) -> ChunkPolicy:
     """Return a policy of Stage II, trained as rl_co.py trains it."""
     from rlco.collectors import check_signal, make_collector
-    from rlco.evaluation import HeldOut, evaluation_envs, success_rates
+    from rlco.evaluation import evaluation_envs, success_rates
     from rlco.losses import CoTrainingLoss, ImitationLoss
     from rlco.policies import save_policy
+    from rlco.training.held_out import HeldOut
     from rlco.training.iterations import co_train
     from rlco.training.stage_two import (
         fix_pose_range,

@@ -64,9 +64,10 @@ def train(
         What each saved policy reaches.
     """
     from rlco.collectors import check_signal, make_collector
-    from rlco.evaluation import HeldOut, evaluation_envs, final_rows, success_rates
+    from rlco.evaluation import evaluation_envs, final_rows, success_rates
     from rlco.losses import CoTrainingLoss, ImitationLoss
     from rlco.policies import save_policy
+    from rlco.training.held_out import HeldOut
     from rlco.training.iterations import co_train
     from rlco.training.kept_policy import best_policy
     from rlco.training.stage_two import (

@@ -6,12 +6,11 @@ import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any
 
 import numpy as np
 import torch
 from numpy.typing import NDArray
-from tensordict import TensorDictBase
 from torchrl.envs.batched_envs import BatchedEnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from tqdm import tqdm
@@ -24,10 +23,6 @@ from rlco.physics.spec.domain import FINAL_DOMAINS, Domain, GivenDomain, make_do
 from rlco.physics.tasks.named_task import check_domains
 from rlco.reporting.statistics import ResultRow, wilson_interval
 from rlco.reporting.video import write_video
-from rlco.training.imitation_errors import imitation_error as imitation_error
-
-if TYPE_CHECKING:
-    pass
 
 log = logging.getLogger("rlco.evaluation")
 
@@ -245,54 +240,6 @@ def success_rates(
                 result.reached(),
             )
     return rates
-
-
-class Demonstrated(Protocol):
-    """Demonstrations, such as those of `rlco.data.load_demos`."""
-
-    def frames(self) -> TensorDictBase:
-        """Return every frame in order, with chunks and which steps pad them."""
-
-
-class HeldOut:
-    """What a policy does on held-out demonstrations, and how far that has moved.
-
-    Unlike the imitation error, which rises with success, too, the drift is 0 at the
-    start and grows with any change of what the policy does where the robot was shown
-    what to do.
-
-    Args:
-        policy: A policy of this package, as it is before Stage II.
-        demos: Held-out demonstrations; None where there are none.
-    """
-
-    def __init__(self, policy: Any, demos: Demonstrated | None) -> None:
-        self._demos = demos
-        self._before = None if demos is None else _likely_actions(policy, demos)
-
-    def measure(self, policy: Any) -> dict[str, float]:
-        """Return ``imitation_error_heldout`` and ``drift_heldout``, if there are any.
-
-        The first is `imitation_error`. The second is the root mean square of how far
-        the most likely actions have moved: 1 is half of the range that the policy's
-        normalisation maps to [-1, 1]. Steps beyond an episode's end are left out.
-        """
-        if self._demos is None or self._before is None:
-            return {}
-        error = imitation_error(policy, self._demos.frames())
-        moved = _likely_actions(policy, self._demos) - self._before
-        real = ~self._demos.frames()[keys.IS_PAD]
-        drift = float(moved[real].pow(2).mean().sqrt())
-        return {"imitation_error_heldout": error, "drift_heldout": drift}
-
-
-def _likely_actions(policy: Any, demos: Demonstrated) -> torch.Tensor:
-    """Return the most likely chunk at each frame, normalised, (frames, chunk, A)."""
-    frames = demos.frames().select(*policy.in_keys)
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        parts = [policy(part.clone())[keys.CHUNK] for part in frames.split(1024)]
-    actions: torch.Tensor = policy.action_normalizer(torch.cat(parts))
-    return actions
 
 
 def evaluation_domains(

@@ -7,18 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 
 from rlco import keys
 from rlco.envs import TabletopEnv, make_env
 from rlco.evaluation import (
     EVALUATION_SEED,
     Evaluation,
-    HeldOut,
     evaluate,
     evaluation_env,
 )
-from rlco.policies import GaussianPolicy
 
 pytestmark = pytest.mark.slow
 
@@ -162,32 +160,3 @@ def test_a_row_and_a_line_of_an_evaluation() -> None:
     none = Evaluation(nothing, np.full(4, np.nan), nothing)
     line = "0.0% [0.0%, 49.0%] of 4 episodes; ever 0.0%, lost again 0.0%"
     assert str(none) == line
-
-
-class Frames:
-    """Held-out demonstrations of two frames, the last step of the second padded."""
-
-    def frames(self) -> TensorDict:
-        return TensorDict(
-            {
-                "observation": {"state": torch.zeros(2, 3)},
-                "vla_action": {"chunk": torch.zeros(2, 2, 1)},
-                keys.IS_PAD: torch.tensor([[False, False], [False, True]]),
-            },
-            [2],
-        )
-
-
-def test_drift_is_how_far_actions_moved_in_units_of_their_range() -> None:
-    policy = GaussianPolicy(3, chunk=2, action_size=1, hidden=(4,))
-    low, high = torch.tensor([-0.5]), torch.tensor([0.5])
-    policy.set_normalization(action=(low, high))
-    drift = HeldOut(policy, Frames())
-    assert drift.measure(policy)["drift_heldout"] == 0.0
-    # The head's output is the normalised mean: steps move by .1, .3, .1 and a padded
-    # .3, so the mean square of the real ones is .11 / 3.
-    with torch.no_grad():
-        policy.network.head.bias += torch.tensor([0.1, 0.3])
-    found = drift.measure(policy)["drift_heldout"]
-    assert found == pytest.approx((0.11 / 3) ** 0.5, rel=1e-4)
-    assert HeldOut(policy, None).measure(policy) == {}

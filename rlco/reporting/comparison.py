@@ -15,6 +15,8 @@ from rlco.runs.compare.cells import EVALUATED, ROLLOUT
 from rlco.runs.compare.experiment import Prediction
 
 State = Literal["done", "older", "failed", "missing"]
+#: Shares by method, seed and domain.
+Found = Mapping[str, Mapping[Any, Mapping[str, "Rates"]]]
 
 
 @dataclass(frozen=True)
@@ -173,15 +175,9 @@ def _differences(entries: Sequence[Entry], pairs: Sequence[tuple[str, str]]) -> 
     head = ["difference, points", *domains, "seeds of both"]
     lines = [_row(head), "|---" * len(head) + "|"]
     for first, second in pairs:
-        one, other = found.get(first, {}), found.get(second, {})
-        both = [seed for seed in one if seed in other]
         cells, numbers = [f"{first} - {second}"], set()
         for domain in domains:
-            gains = [
-                one[seed][domain].end - other[seed][domain].end
-                for seed in both
-                if domain in one[seed] and domain in other[seed]
-            ]
+            gains = _gains(found, first, second, domain)
             cells.append(_points(mean_interval(gains)) if gains else "missing")
             numbers.add(len(gains))
         lines.append(_row([*cells, " / ".join(map(str, sorted(numbers)))]))
@@ -198,7 +194,7 @@ def _found(entries: Iterable[Entry]) -> dict[str, dict[Any, dict[str, Rates]]]:
     return found
 
 
-def _domains(found: Mapping[str, Mapping[Any, Mapping[str, Rates]]]) -> list[str]:
+def _domains(found: Found) -> list[str]:
     runs = [run for by_seed in found.values() for run in by_seed.values()]
     return list(dict.fromkeys(domain for run in runs for domain in run))
 
@@ -237,14 +233,12 @@ def overview_table(
     for group in dict.fromkeys(entry.group for entry in entries):
         found = _found(entry for entry in entries if entry.group == group)
         for domain in _domains(found):
-            ends = {label: _ends(runs, domain) for label, runs in found.items()}
             cells = [", ".join(part for part in (group, domain) if part)]
             for label in labels:
-                values = list(ends.get(label, {}).values())
+                values = _ends(found.get(label, {}), domain).values()
                 cells.append(f"{sum(values) / len(values):.0%}" if values else "-")
             for first, second in differences:
-                one, other = ends.get(first, {}), ends.get(second, {})
-                gains = [one[seed] - other[seed] for seed in one if seed in other]
+                gains = _gains(found, first, second, domain)
                 cells.append(_points(mean_interval(gains)) if gains else "-")
             lines.append(_row(cells))
     return "\n".join(lines) + "\n"
@@ -309,6 +303,12 @@ def prediction_runs(
 def _ends(runs: Mapping[Any, Mapping[str, Rates]], domain: str) -> dict[Any, float]:
     """Return what each seed's run solved at the end in a domain."""
     return {seed: run[domain].end for seed, run in runs.items() if domain in run}
+
+
+def _gains(found: Found, first: str, second: str, domain: str) -> list[float]:
+    """Return by how much a method ends above another, for each seed of both."""
+    one, other = (_ends(found.get(label, {}), domain) for label in (first, second))
+    return [one[seed] - other[seed] for seed in one if seed in other]
 
 
 def _correlation(groups: Sequence[Runs]) -> str:

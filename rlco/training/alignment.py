@@ -11,9 +11,9 @@ from typing import Any, NamedTuple
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from rlco import keys
+from rlco.training.imitation_errors import likely_chunks
 
 ROWS = 1024  # frames that are computed at once
 #: Weight of the probe's penalty, beside features of variance 1.
@@ -62,9 +62,8 @@ def explained(policy: Any, frames: TensorDictBase) -> Explained:
         policy: A policy of this package.
         frames: Every frame of the demonstrations, of ``DemoReplayBuffer.frames()``.
     """
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        read = frames.select(*policy.in_keys).split(ROWS)
-        likely = torch.cat([policy(part.clone())[keys.CHUNK] for part in read])
+    likely = likely_chunks(policy, frames)
+    with torch.no_grad():
         normalized = policy.action_normalizer
         real = ~frames[keys.IS_PAD]
         demonstrated = normalized(frames[keys.CHUNK])[real]

@@ -57,6 +57,28 @@ def fixed_imitation_error(policy: Any, frames: TensorDictBase) -> float:
         return imitation_error(policy, frames)
 
 
+def likely_chunks(policy: Any, frames: TensorDictBase) -> torch.Tensor:
+    """Return a policy's most likely chunk at each frame, raw units, (B, chunk, A).
+
+    Computed in parts, and always with the same random numbers, where it takes any:
+    training goes on as if nothing had been asked.
+
+    Args:
+        policy: Writes the chunk.
+        frames: Observations, batch size (B,).
+    """
+    read = frames.select(*policy.in_keys)
+    with (
+        torch.random.fork_rng(),
+        torch.no_grad(),
+        set_exploration_type(ExplorationType.DETERMINISTIC),
+    ):
+        torch.manual_seed(0)
+        return torch.cat(
+            [policy(part.clone())[keys.CHUNK] for part in read.split(ROWS)]
+        )
+
+
 def action_error(policy: Any, frames: TensorDictBase) -> torch.Tensor:
     """Return the mean absolute error of each action number, raw units, shape (A,).
 
@@ -67,15 +89,7 @@ def action_error(policy: Any, frames: TensorDictBase) -> torch.Tensor:
         policy: Writes the chunk.
         frames: As of `imitation_error`.
     """
-    read = frames.select(*policy.in_keys)
-    with (
-        torch.random.fork_rng(),
-        torch.no_grad(),
-        set_exploration_type(ExplorationType.DETERMINISTIC),
-    ):
-        torch.manual_seed(0)
-        acted = [policy(part.clone())[keys.CHUNK] for part in read.split(ROWS)]
-    error = (torch.cat(acted) - frames[keys.CHUNK]).abs()
+    error = (likely_chunks(policy, frames) - frames[keys.CHUNK]).abs()
     mean: torch.Tensor = error[~frames[keys.IS_PAD]].mean(0)
     return mean
 

@@ -123,6 +123,8 @@ class Learner:
         self._updates = 0
         sums: dict[str, float] = {}
         minibatches = 0
+        # A policy that stays differs from itself by rounding alone.
+        limit = self.target_kl if train_policy else None
         for epoch in range(1, epochs + 1):
             divergences = []
             for batch in self.buffer:
@@ -135,11 +137,9 @@ class Learner:
                 minibatches += 1
                 for name, value in out.items():
                     sums[name] = sums.get(name, 0.0) + float(value.detach())
-                if self.target_kl is not None:
+                if limit is not None:
                     divergences.append(float(out["kl_approx"].detach()))
             row["epochs"] = epoch
-            # A policy that stays differs from itself by rounding alone.
-            limit = self.target_kl if train_policy else None
             if limit is not None and fmean(divergences) > limit:
                 break
         self._check_weights()

@@ -20,10 +20,10 @@ from recipe_cases import RECIPES, start
 
 from rlco.errors import ConfigError
 from rlco.runs.compare.cells import Store
-from rlco.runs.compare.experiment import read_experiment
 from rlco.runs.compare.jobs import Job, expand
 from rlco.runs.compare.plan import make_plan
 from rlco.runs.compare.queue import Queue
+from rlco.runs.compare.read_experiment import read_experiment
 from rlco.runs.config import parse
 
 pytestmark = pytest.mark.slow
