@@ -15,6 +15,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
 
 ROOT = Path(__file__).parents[1]
@@ -36,7 +37,7 @@ def main() -> None:
             print(f"{path.stem}: no cells yet")
     for page in (ROOT / "README.md", *sorted(DOCS.glob("*.md"))):
         text = page.read_text("utf-8")
-        written = MARKED.sub(lambda found: _filled(found, first), text)
+        written = filled(text, first)
         if written != text:
             page.write_text(written, "utf-8")
             print(f"{page.relative_to(ROOT)}: written")
@@ -52,14 +53,17 @@ def write_page(name: str, experiment: Path, cells: Path) -> str:
             [*command, f"out={out}"], check=True, cwd=ROOT, stdout=subprocess.DEVNULL
         )
         tables = (Path(out) / "table.md").read_text("utf-8")
+        figures = ["\n## Figures\n"]
         for figure in sorted(Path(out, "plots").glob("*.png")):
             kept = f"{name}-{figure.stem.replace(' ', '-')}.png"
             shutil.copy(figure, DOCS / "figures" / kept)
+            figures.append(f"![{figure.stem}](../figures/{kept})\n")
     shown = "uv run recipes/compare.py " + " ".join(command[2:])
     page = DOCS / "tables" / f"{name}.md"
     page.parent.mkdir(exist_ok=True)
-    page.write_text(f"# {name}\n\n```\n$ {shown}\n```\n\n{tables}", "utf-8")
-    print(f"{page.relative_to(ROOT)}: written")
+    text = f"# {name}\n\n```\n$ {shown}\n```\n\n{tables}"
+    page.write_text(text + "\n".join(figures), "utf-8")
+    print(f"docs/tables/{name}.md: written")
     overview, *sections = tables.split("\n## ")
     predicted = [one for one in sections if one.startswith("Predictions\n")]
     return "\n\n".join(
@@ -67,10 +71,14 @@ def write_page(name: str, experiment: Path, cells: Path) -> str:
     )
 
 
-def _filled(found: re.Match[str], first: dict[str, str]) -> str:
-    """Return a marked part with its table; as it was, where there is none."""
-    begin, name, end = found.groups()
-    return f"{begin}{first[name]}\n{end}" if name in first else found[0]
+def filled(text: str, tables: Mapping[str, str]) -> str:
+    """Return a page with its marked tables; as they were, where there is none."""
+
+    def part(found: re.Match[str]) -> str:
+        begin, name, end = found.groups()
+        return f"{begin}{tables[name]}\n{end}" if name in tables else found[0]
+
+    return MARKED.sub(part, text)
 
 
 if __name__ == "__main__":

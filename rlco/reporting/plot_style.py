@@ -18,6 +18,7 @@ from matplotlib.ticker import (
     PercentFormatter,
 )
 
+INK, QUIET, LINES = "#222222", "#666666", "#bbbbbb"
 #: The names of domains in figures.
 DOMAIN_LABELS = {
     "sim": "sim (the simulator as built)",
@@ -59,9 +60,10 @@ READING = {
     ),
     "One episode": "Time runs from left to right.",
 }
-_SPARE_STYLES = (("#cc79a7", "X"), ("#56b4e9", "P"), ("#8c6d31", "<"))
+#: Of other names: as many pairs as the product of their numbers, which share no factor.
+_SPARE_COLOURS = ("#cc79a7", "#56b4e9", "#8c6d31", "#332288", "#882255", INK)
+_SPARE_MARKERS = ("X", "P", "<", "*", ">")
 WIDTH = 7.2  # [inch]: 720 px wide at 100 px per inch, for which text is sized
-INK, QUIET, LINES = "#222222", "#666666", "#bbbbbb"
 
 
 def new_figure(
@@ -93,7 +95,9 @@ def styles(methods: Iterable[str]) -> dict[str, tuple[str, str]]:
     given = dict.fromkeys(methods)
     known = {name: look for name, look in METHOD_STYLES.items() if name in given}
     others = [name for name in given if name not in known]
-    spare = itertools.cycle(_SPARE_STYLES)
+    spare = zip(
+        itertools.cycle(_SPARE_COLOURS), itertools.cycle(_SPARE_MARKERS), strict=False
+    )
     return known | dict(zip(others, spare, strict=False))
 
 

@@ -156,6 +156,16 @@ def anchor_strength(
         top = np.where(np.isfinite(high), high, 1e3)
         where = np.array(rollouts)[known]
         axes.vlines(where, low[known], top[known], color=colour, linewidth=1.5)
+        if not known.any():
+            axes.text(
+                0.5,
+                0.55,
+                "lost in the noise of RL's gradient",
+                color=QUIET,
+                ha="center",
+                va="bottom",
+                transform=axes.transAxes,
+            )
     log_axis(size, "anchor / RL's mean")
     size.set_ylim(1e-2, 1e2)
     angle.set_ylim(-1.05, 1.05)

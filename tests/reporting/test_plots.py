@@ -120,6 +120,18 @@ def test_an_anchor_that_is_lost_in_noise_reaches_the_top() -> None:
     assert second[1][1] > size.get_ylim()[1]
     # What is not known is not drawn.
     assert len(angle.collections[0].get_segments()) == 1
+    assert not size.texts
+    assert not angle.texts
+
+
+def test_a_cosine_that_is_never_known_says_so() -> None:
+    nan = float("nan")
+    figure = anchor_strength([10], [[0.5], [0.4], [0.7]], [[nan], [nan], [nan]])
+    size, angle = figure.axes
+    assert not size.texts
+    assert [text.get_text() for text in angle.texts] == [
+        "lost in the noise of RL's gradient"
+    ]
 
 
 def test_forgetting_is_shown_beside_success_in_the_robots_domain() -> None:
@@ -154,6 +166,14 @@ def test_methods_look_different() -> None:
     looks = styles([*METHOD_STYLES, "mine", "yours"])
     assert len({colour for colour, _ in looks.values()}) == len(looks)
     assert len({marker for _, marker in looks.values()}) == len(looks)
+
+
+def test_methods_of_other_names_look_different() -> None:
+    looks = styles(["sft", *(f"beta {beta}" for beta in range(6))])
+    assert len({colour for colour, _ in looks.values()}) == 7
+    assert len({marker for _, marker in looks.values()}) >= 6
+    many = styles([f"method {number}" for number in range(30)])
+    assert len(set(many.values())) == 30
 
 
 def test_saved_figure_carries_title_and_how_to_read_it(tmp_path: Path) -> None:

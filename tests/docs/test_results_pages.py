@@ -1,0 +1,52 @@
+"""The experiments' tables in the pages are those of the committed cells."""
+
+from __future__ import annotations
+
+import importlib.util
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+from pages import DOCS
+
+pytestmark = pytest.mark.slow
+ROOT = DOCS.parent
+
+
+def script() -> ModuleType:
+    """Return scripts/write_results.py, which is in no package."""
+    path = ROOT / "scripts" / "write_results.py"
+    spec = importlib.util.spec_from_file_location("write_results", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_marked_tables_are_what_the_cells_say(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    module = script()
+    (tmp_path / "figures").mkdir()
+    monkeypatch.setattr(module, "DOCS", tmp_path)
+    texts = {
+        page.name: page.read_text("utf-8")
+        for page in (ROOT / "README.md", *sorted(DOCS.glob("*.md")))
+    }
+    marked = {
+        name for text in texts.values() for _, name, _ in module.MARKED.findall(text)
+    }
+    assert "planar" in marked
+    tables = {
+        name: module.write_page(
+            name,
+            module.BENCHMARKS / "experiments" / f"{name}.yaml",
+            module.BENCHMARKS / "cells" / module.CELLS.get(name, name),
+        )
+        for name in marked
+    }
+    for page, text in texts.items():
+        assert module.filled(text, tables) == text, page
+    # Figures of the page lie where it looks for them.
+    assert (tmp_path / "figures" / "planar-prediction-1.png").is_file()
