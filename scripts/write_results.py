@@ -2,8 +2,8 @@
 
     uv run scripts/write_results.py
 
-Each experiment of benchmarks/experiments that has cells gets a page of all its tables,
-docs/tables/NAME.md, and figures, docs/figures/NAME-*.png. In README.md and the pages of
+Each experiment of benchmarks/experiments whose cells are all there gets a page of all its
+tables, docs/tables/NAME.md, and figures, docs/figures/NAME-*.png. In README.md and the pages of
 docs, what stands between the lines `<!-- results NAME -->` and `<!-- end -->` becomes
 the first table of NAME: of several groups the overview, and what was predicted.
 """
@@ -18,6 +18,10 @@ import tempfile
 from collections.abc import Mapping
 from pathlib import Path
 
+from rlco.runs.compare.cells import Store
+from rlco.runs.compare.jobs import expand
+from rlco.runs.compare.read_experiment import read_experiment
+
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 BENCHMARKS = ROOT / "benchmarks"
@@ -31,16 +35,25 @@ def main() -> None:
     first: dict[str, str] = {}
     for path in sorted((BENCHMARKS / "experiments").glob("*.yaml")):
         cells = BENCHMARKS / "cells" / CELLS.get(path.stem, path.stem)
-        if any(cells.glob("*.json")):
-            first[path.stem] = write_page(path.stem, path, cells)
+        missing, every = count_missing(path, cells)
+        if missing:
+            print(f"{path.stem}: {missing} of {every} cells are not in yet")
         else:
-            print(f"{path.stem}: no cells yet")
+            first[path.stem] = write_page(path.stem, path, cells)
     for page in (ROOT / "README.md", *sorted(DOCS.glob("*.md"))):
         text = page.read_text("utf-8")
         written = filled(text, first)
         if written != text:
             page.write_text(written, "utf-8")
             print(f"{page.relative_to(ROOT)}: written")
+
+
+def count_missing(experiment: Path, cells: Path) -> tuple[int, int]:
+    """Return how many results of an experiment have no cell, and how many it has."""
+    with tempfile.TemporaryDirectory() as out:
+        store = Store(Path(out), cells, "any")
+    jobs = [job for job in expand(read_experiment(experiment)) if job.kind.results]
+    return sum(store.find(job) is None for job in jobs), len(jobs)
 
 
 def write_page(name: str, experiment: Path, cells: Path) -> str:
