@@ -53,6 +53,12 @@ class Config(RunOptions):
     updates: int = option(1500, "stage=one: optimiser steps", minimum=1)
     policy: str | None = option(None, "stage=two: folder of the policy it starts from")
     real_coeff: float = option(0.2, "stage=two: beta, weight of the anchor", minimum=0)
+    forget_limit: float | None = option(
+        None,
+        "stage=two: share of the real demonstrations' variance that RL may stop "
+        "explaining, see rl_co.py; null: real_coeff stays",
+        minimum=0,
+    )
     iterations: int = option(100, "stage=two: rollouts", minimum=1, may_change=True)
     num_envs: int = option(128, "stage=two: episodes of a rollout", minimum=1)
     eval_every: int = option(20, "stage=two: rollouts between evaluations", minimum=1)
@@ -170,6 +176,7 @@ def stage_two(config: Config) -> None:
         task=PlanarTask.name,
         seed=config.seed,
         real_coeff=config.real_coeff,
+        forget_limit=config.forget_limit,
         iterations=config.iterations,
         num_envs=config.num_envs,
     )

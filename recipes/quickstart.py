@@ -57,6 +57,11 @@ class Config(PolicyOptions):
     heldout_demos: int = option(
         9, "more in stand_in, held out of training, to measure forgetting", minimum=1
     )
+    real_domain: str = option(
+        "stand_in",
+        "domain that plays the robot's part: a name, MODULE:NAME, or the path of an "
+        "effects.yaml",
+    )
     sim_ratio: float = option(0.5, "alpha of Stage I", minimum=0, maximum=1)
     updates: int = option(1500, "optimiser steps of Stage I", minimum=1)
     iterations: int = option(40, "rollouts of Stage II", minimum=1)
@@ -169,8 +174,8 @@ def record(config: Config, folder: Path) -> dict[str, str]:
 
     plan = {
         "sim": (config.train_domain, config.sim_demos, 3 * config.seed),
-        "real": ("stand_in", config.real_demos, 3 * config.seed + 1),
-        "heldout": ("stand_in", config.heldout_demos, 3 * config.seed + 2),
+        "real": (config.real_domain, config.real_demos, 3 * config.seed + 1),
+        "heldout": (config.real_domain, config.heldout_demos, 3 * config.seed + 2),
     }
     images = config.image != "none"
     for name, (domain, episodes, seed) in plan.items():

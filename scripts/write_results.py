@@ -2,10 +2,11 @@
 
     uv run scripts/write_results.py
 
-Each experiment of benchmarks/experiments whose cells are all there gets a page of all its
-tables, docs/tables/NAME.md, and figures, docs/figures/NAME-*.png. In README.md and the pages of
-docs, what stands between the lines `<!-- results NAME -->` and `<!-- end -->` becomes
-the first table of NAME: of several groups the overview, and what was predicted.
+Each experiment of benchmarks/experiments whose cells are all there gets a page of all
+its tables, docs/tables/NAME.md, and figures, docs/figures/NAME-*.png. In README.md and
+the pages of docs, what stands between the lines `<!-- results NAME -->` and
+`<!-- end -->` becomes the first table of NAME: of several groups the overview, and what
+was predicted.
 """
 
 from __future__ import annotations

@@ -19,6 +19,7 @@ from rlco.losses.co_training import CoTrainingLoss
 from rlco.losses.gradient_agreement import gradient_agreement
 from rlco.losses.gradient_signal import LEAST_GROUPS, gradient_signal
 from rlco.losses.log_probs import log_probs
+from rlco.training.anchor_weight import AnchorWeight
 
 #: Clip of the critic's gradient norm: it cuts off outliers and nothing else.
 CRITIC_GRAD_NORM = 10.0
@@ -53,6 +54,8 @@ class Learner:
             are at the first; they change linearly.
         reuse: Earlier rollouts that are learned from again. The buffer's sim side has
             room for them.
+        anchor: Adapts the anchor's weight after each rollout that moved the policy;
+            None: it stays as the loss was built.
     """
 
     policy: Any
@@ -66,6 +69,7 @@ class Learner:
     target_kl: float | None = None
     lr_final: float = 1.0
     reuse: int = 0
+    anchor: AnchorWeight | None = None
     _earlier: list[TensorDictBase] = field(default_factory=list, init=False)
     _updates: int = field(default=0, init=False)
 
@@ -107,7 +111,8 @@ class Learner:
 
         Returns:
             Means over the minibatches of what the loss reports; ``epochs``, the passes
-            that were made; ``reuse_weight``, the mean weight of what is learned from
+            that were made; ``forgotten`` and ``real_coeff`` where the anchor's weight
+            is adapted; ``reuse_weight``, the mean weight of what is learned from
             again, if anything is; ``log_prob_gap``, how far the rollout's own
             log-probability was off at most; ``first_ratio``, the largest ratio of the
             first minibatch; and, where there is an anchor, the gradients' comparison
@@ -143,6 +148,8 @@ class Learner:
             if limit is not None and fmean(divergences) > limit:
                 break
         self._check_weights()
+        if self.anchor is not None and train_policy:
+            row |= self.anchor.adapt(self.loss)
         return row | {name: total / minibatches for name, total in sums.items()}
 
     def _store(self, rollout: TensorDictBase) -> dict[str, float]:
@@ -241,6 +248,8 @@ class Learner:
         state["buffer"] = self.buffer.state_dict(rows=False)
         if self.reuse:
             state["earlier"] = [dict(one.flatten_keys("/")) for one in self._earlier]
+        if self.anchor is not None:
+            state["real_coeff"] = float(self.loss.real_coeff)
         return state
 
     def load(self, state: dict[str, Any]) -> None:
@@ -248,6 +257,8 @@ class Learner:
         for name, part in self._parts().items():
             part.load_state_dict(state[name])
         self.buffer.load_state_dict(state["buffer"])
+        if self.anchor is not None:
+            self.loss.real_coeff = state["real_coeff"]
         self._earlier = [
             TensorDict(one, [len(one["/".join(keys.LOG_PROB)])]).unflatten_keys("/")
             for one in state.get("earlier", ())

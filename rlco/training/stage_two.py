@@ -21,7 +21,6 @@ from rlco.training.policy_options import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from torchrl.data import ReplayBuffer
     from torchrl.objectives import ClipPPOLoss
 
     from rlco.data import DemoReplayBuffer
@@ -55,6 +54,13 @@ class StageTwoOptions(AugmentOptions):
     )
     heldout_episodes: str = option("", "episodes of heldout_demos; empty: all")
     real_coeff: float = option(0.2, "beta, weight of the real anchor", minimum=0)
+    forget_limit: float | None = option(
+        None,
+        "share of the real demonstrations' variance that RL may stop explaining: the "
+        "anchor's weight begins at real_coeff and follows it; null: real_coeff stays",
+        minimum=0,
+        maximum=1,
+    )
     iterations: int = option(100, "rollouts", minimum=1, may_change=True)
     num_envs: int = option(32, "episodes of a rollout", minimum=1)
     horizon: int | None = option(
@@ -196,13 +202,19 @@ def stage_two_problems(options: AnchoredOptions) -> list[str]:
     return problems
 
 
-def check_stage_two(options: AnchoredOptions) -> None:
+def check_stage_two(options: StageTwoOptions) -> None:
     """Check what the options say of each other.
 
     Raises:
         ConfigError: They contradict each other; every problem is reported.
     """
-    if problems := stage_two_problems(options):
+    problems = stage_two_problems(options)
+    if options.forget_limit is not None and options.real_coeff == 0:
+        problems.append(
+            f"forget_limit={options.forget_limit} adapts the weight of the anchor, but "
+            "real_coeff=0 leaves none; give where it begins, such as real_coeff=0.05"
+        )
+    if problems:
         raise ConfigError(problems)
 
 
@@ -344,7 +356,7 @@ def make_learner(
     loss: CoTrainingLoss,
     policy: ChunkPolicy,
     critic: Any,
-    real: ReplayBuffer | None,
+    real: DemoReplayBuffer | None,
     *,
     rows: int,
 ) -> Learner:
@@ -362,8 +374,13 @@ def make_learner(
     from torchrl.data import LazyTensorStorage, ReplayBuffer
 
     from rlco.data import SimRealReplayBuffer
+    from rlco.training.anchor_weight import AnchorWeight
     from rlco.training.learner import Learner
 
+    limit = options.forget_limit
+    anchor = None
+    if limit is not None and real is not None:
+        anchor = AnchorWeight(limit, policy, real.frames())
     batch_size = options.minibatch + (options.real_rows if real is not None else 0)
     buffer = SimRealReplayBuffer(
         ReplayBuffer(storage=LazyTensorStorage(rows * (1 + options.reuse))),
@@ -385,4 +402,5 @@ def make_learner(
         target_kl=options.target_kl,
         lr_final=options.lr_final,
         reuse=options.reuse,
+        anchor=anchor,
     )

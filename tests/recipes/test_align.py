@@ -89,3 +89,8 @@ def test_the_sentences_follow_the_numbers() -> None:
     assert "other actions" in alignment(cross=-0.2)
     assert "help imitation" in alignment(both=0.6)
     assert "harm imitation" in alignment(both=0.2)
+
+
+def test_the_nearest_gaps_that_were_mapped_are_named() -> None:
+    assert "these teach about as much: planar, " in alignment(cross=0.1)
+    assert "this one teaches about as much: planar, " in alignment(cross=-90.0)
