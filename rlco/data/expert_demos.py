@@ -6,6 +6,7 @@ import logging
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ from tqdm import tqdm
 
 from rlco.data.filming import film_demonstrations, film_failure
 from rlco.data.recording import DemoWriter
-from rlco.errors import ConfigError, RenderingError, RlcoError
+from rlco.errors import ConfigError, OutputExistsError, RenderingError, RlcoError
 from rlco.physics.effects.corrected_model import Given
 from rlco.physics.robosuite.options import PREFIX
 from rlco.physics.spec.domain import Domain, GivenDomain, make_domain
@@ -70,6 +71,8 @@ def record_demonstrations(
             f"task {task!r} is robosuite's and has no scripted expert; record "
             "demonstrations of it elsewhere and give their LeRobot folder to sft.py."
         )
+    if Path(path).exists():
+        raise OutputExistsError(path)
     what, where = make_task(task), make_domain(domain)
     given: dict[str, Any] = {
         "episodes": episodes,
@@ -80,9 +83,10 @@ def record_demonstrations(
     size = None if image_size is None else (image_size, image_size)
     demonstrations = _played(what, where, camera, size, given)
     frames = 0
-    with (
-        _filmed_failure(Path(path), what, where, effects),
-        DemoWriter(
+    with _filmed_failure(Path(path), what, where, effects):
+        # Effects that cannot be are noticed by the first one, before there is a folder.
+        played = chain([next(demonstrations)], demonstrations)
+        writer = DemoWriter(
             path,
             fps=what.control_frequency,
             state_names=what.state_names,
@@ -92,13 +96,13 @@ def record_demonstrations(
             camera=camera,
             image_size=size,
             video=video,
-        ) as writer,
-    ):
-        for demonstration, images in tqdm(
-            demonstrations, "episodes", total=episodes, disable=None
-        ):
-            _write(writer, demonstration, images)
-            frames += len(demonstration.action)
+        )
+        with writer:
+            for demonstration, images in tqdm(
+                played, "episodes", total=episodes, disable=None
+            ):
+                _write(writer, demonstration, images)
+                frames += len(demonstration.action)
     return frames
 
 

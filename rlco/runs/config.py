@@ -8,6 +8,7 @@ and wrong input answer at once.
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +19,8 @@ import yaml
 from omegaconf import DictConfig, OmegaConf, SCMode
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
 
-from rlco.errors import ConfigError, UnknownNameError
+from rlco.errors import ConfigError, DataError, UnknownNameError
+from rlco.files import read_yaml, shown
 from rlco.runs.options import (
     AS_NOW,
     Option,
@@ -27,8 +29,12 @@ from rlco.runs.options import (
     unknown_option,
 )
 from rlco.runs.options import REQUIRED as REQUIRED
+from rlco.runs.options import distinct as distinct
+from rlco.runs.options import folder_name as folder_name
 from rlco.runs.options import option as option
 
+#: NumPy's generators take 32 bits.
+LAST_SEED = 2**32 - 1
 _HELP = ("help", "--help", "-h")
 
 
@@ -36,10 +42,16 @@ _HELP = ("help", "--help", "-h")
 class RunOptions:
     """The options that every recipe with a run directory shares; inherit from it."""
 
-    name: str = option("run", "name of the run, a part of its folder's name")
-    seed: int = option(0, "seed of every random number", minimum=0)
+    name: str = option(
+        "run", "name of the run, a part of its folder's name", check=folder_name
+    )
+    seed: int = option(0, "seed of every random number", minimum=0, maximum=LAST_SEED)
     threads: int = option(
-        1, "threads that torch may use on the CPU", minimum=1, may_change=True
+        1,
+        "threads that torch may use on the CPU",
+        minimum=1,
+        maximum=1024,
+        may_change=True,
     )
     out: str | None = option(
         None, "run directory; null: outputs/RECIPE/DATE_NAME_sSEED", may_change=True
@@ -236,11 +248,9 @@ def _read_yaml(
     path: Path, options: Mapping[str, Option], problems: list[str]
 ) -> list[_Setting] | None:
     try:
-        content = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
-    except (yaml.YAMLError, OSError, UnicodeDecodeError, ValueError) as error:
-        problems.append(
-            f"{path} cannot be read as YAML: {' '.join(str(error).split())}"
-        )
+        content = read_yaml(path, advice="give a YAML file of options")
+    except DataError as error:
+        problems.append(str(error).rstrip("."))
         return None
     if not isinstance(content, dict):
         problems.append(f"{path} must hold key: value lines")
@@ -283,7 +293,7 @@ def _apply(
         if key not in options:
             problems.append(setting.problem(unknown_option(key, options)))
             continue
-        complaint = options[key].complaint(setting.value)
+        complaint = options[key].complaint(setting.value) or _outside(setting.value)
         if complaint is None:
             try:
                 OmegaConf.update(config, key, setting.value)
@@ -294,6 +304,23 @@ def _apply(
                 complaint = f"{setting.value!r} is not of type {options[key].type_name}"
         if complaint is not None:
             problems.append(setting.problem(f"option {key}: {complaint}"))
+
+
+def _outside(value: Any) -> str | None:
+    """Say where a value asks for what lies outside of the options, such as a secret.
+
+    ``${lr}`` is another option; ``${oc.env:KEY}`` would be written to config.yaml.
+    """
+    if isinstance(value, Mapping):
+        return next(filter(None, map(_outside, value.values())), None)
+    if isinstance(value, list | tuple):
+        return next(filter(None, map(_outside, value)), None)
+    if isinstance(value, str) and re.search(r"\$\{.*:", value, re.DOTALL):
+        return (
+            f"{shown(value)} asks for more than another option, and nothing else is "
+            "filled in; write the value itself"
+        )
+    return None
 
 
 def _check_unchanged(

@@ -8,7 +8,7 @@ import shutil
 import sys
 import textwrap
 import types
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING as NO_DEFAULT
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,9 +17,11 @@ from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hin
 from omegaconf import MISSING, OmegaConf
 
 from rlco.errors import ConfigError, suggest
+from rlco.files import shown
 
 #: The default of an option that somebody must give.
 REQUIRED: str = MISSING
+_LONGEST_NAME = 100
 #: Where an earlier run's value of an option is the default of today.
 AS_NOW: Any = object()
 
@@ -60,6 +62,36 @@ def scale_map(text: str) -> dict[str, float]:
     return found
 
 
+def folder_name(text: str) -> str | None:
+    """Say why a text cannot be a part of a folder's name; None where it can.
+
+    Example:
+        >>> folder_name("rl_co beta=0.2"), folder_name("../../x")
+        (None, "'../../x' is to be a part of a folder's name: at most 100 letters, \
+digits and marks, no /")
+    """
+    if 0 < len(text) <= _LONGEST_NAME and text.isprintable() and "/" not in text:
+        return None
+    return (
+        f"{shown(text)} is to be a part of a folder's name: at most {_LONGEST_NAME} "
+        "letters, digits and marks, no /"
+    )
+
+
+def distinct(values: Any) -> str | None:
+    """Say why a list is none of distinct values, at least one; None where it is.
+
+    Example:
+        >>> distinct(["sft"]), distinct([]), distinct(["sft", "sft"])
+        (None, '[] is empty; give one or more', "['sft', 'sft'] has one of them twice")
+    """
+    if not values:
+        return "[] is empty; give one or more"
+    if len(set(values)) < len(values):
+        return f"{shown(list(values))} has one of them twice"
+    return None
+
+
 def option(
     default: Any,
     help: str,
@@ -69,6 +101,8 @@ def option(
     infinite: bool = False,
     may_change: bool = False,
     earlier: Any = AS_NOW,
+    input: bool = False,
+    check: Callable[[Any], str | None] | None = None,
 ) -> Any:
     """Declare one option as a dataclass field.
 
@@ -82,6 +116,9 @@ def option(
         may_change: Whether a resumed run may have another value.
         earlier: Its value where a run is resumed that was started before the option
             existed; where none is given, the default.
+        input: Whether it names files that a run reads: a resumed run must find them as
+            they were.
+        check: Says what is wrong with a value, None where nothing is.
 
     Example:
         >>> @dataclass
@@ -97,6 +134,8 @@ def option(
         "infinite": infinite,
         "may_change": may_change,
         "earlier": earlier,
+        "input": input,
+        "check": check,
     }
     if isinstance(default, list | dict):
         return field(default_factory=default.copy, metadata=metadata)
@@ -116,6 +155,8 @@ class Option:
     infinite: bool = False
     may_change: bool = False
     earlier: Any = AS_NOW
+    input: bool = False
+    check: Callable[[Any], str | None] | None = None
 
     @property
     def type_name(self) -> str:
@@ -170,9 +211,11 @@ class Option:
         return None
 
     def out_of_range(self, value: Any) -> str | None:
-        """Say which limit a number, or a number in a list, breaks."""
+        """Say which limit a value, or a number in a list, breaks."""
         if isinstance(value, bool) or value is None:
             return None
+        if self.check is not None and (complaint := self.check(value)):
+            return complaint
         if isinstance(value, Iterable) and not isinstance(value, str):
             found = (self.out_of_range(item) for item in value)
             return next((text for text in found if text), None)
