@@ -21,13 +21,19 @@ from typing import TYPE_CHECKING, Any, Self
 
 from tqdm import tqdm
 
-from rlco.errors import CheckpointError, NonFiniteError, RlcoError, printable
+from rlco.errors import NonFiniteError, RlcoError
 from rlco.reporting.headless import choose_gl
 from rlco.runs import run_folder
 from rlco.runs.config import RunOptions, parse, to_yaml
 from rlco.runs.endings import STORAGE, Stopped, stop_on_signals, storage_problem
 from rlco.runs.metrics import MetricsFile
-from rlco.runs.resumed import check_unchanged, inputs_of, options_by_name
+from rlco.runs.resumed import (
+    check_checkpoint,
+    check_unchanged,
+    inputs_of,
+    options_by_name,
+)
+from rlco.runs.run_log import LogFile, Printable
 from rlco.runs.whole_files import json_text, remove_parts, write_json, write_text
 
 if TYPE_CHECKING:
@@ -71,7 +77,7 @@ def run_recipe[C](
     # TorchRL reads it at its import, and says a line for each storage without it.
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
     console = logging.StreamHandler()
-    console.setFormatter(_Printable("%(message)s"))
+    console.setFormatter(Printable("%(message)s"))
     logger.addHandler(console)
     stop_on_signals()
     try:
@@ -93,21 +99,6 @@ def run_recipe[C](
         raise SystemExit(128 + number) from None
     finally:
         logger.removeHandler(console)
-
-
-class _Printable(logging.Formatter):
-    """Writes out what would move the cursor of a terminal."""
-
-    def format(self, record: logging.LogRecord) -> str:
-        return printable(super().format(record))
-
-
-class _LogFile(logging.FileHandler):
-    """A log that is full or gone stops no run, and says nothing at every line."""
-
-    def handleError(self, record: logging.LogRecord) -> None:  # noqa: N802
-        if not isinstance(sys.exception(), OSError):
-            super().handleError(record)
 
 
 class Run:
@@ -195,9 +186,9 @@ class Run:
             self._open_board()
 
     def _open_log(self) -> None:
-        self._handler = _LogFile(self.path / "log.txt", encoding="utf-8")
+        self._handler = LogFile(self.path / "log.txt", encoding="utf-8")
         self._handler.setFormatter(
-            _Printable("%(asctime)s %(levelname)s %(name)s: %(message)s")
+            Printable("%(asctime)s %(levelname)s %(name)s: %(message)s")
         )
         logging.getLogger("rlco").addHandler(self._handler)
 
@@ -351,17 +342,7 @@ class Run:
             return None
         path = self._last_checkpoint()
         saved = load_state(path)
-        if not isinstance(saved, dict) or not {"state", "rng"} <= saved.keys():
-            raise CheckpointError(
-                f"checkpoint {str(path)!r} is none of a run: it holds no state and "
-                "random numbers; take the file away to resume from the one before."
-            )
-        if saved.get("metrics", self._metrics.digest()) != self._metrics.digest():
-            raise CheckpointError(
-                f"{str(self._metrics.path)!r} is not what it was when checkpoint "
-                f"{path.name} was saved: rows are missing or were changed; put it "
-                "back, or start a new run."
-            )
+        check_checkpoint(path, saved, self._metrics)
         advice = "take the file away to resume from the one before, if there is one"
         check_loaded(str(path), named_tensors(saved["state"]), advice=advice)
         self._rng = saved["rng"]

@@ -14,7 +14,7 @@ from tqdm import tqdm
 
 from rlco.data.filming import film_demonstrations, film_failure
 from rlco.data.recording import DemoWriter
-from rlco.errors import ConfigError, OutputExistsError, RenderingError, RlcoError
+from rlco.errors import ConfigError, RenderingError, RlcoError
 from rlco.physics.effects.corrected_model import Given
 from rlco.physics.robosuite.options import PREFIX
 from rlco.physics.spec.domain import Domain, GivenDomain, make_domain
@@ -25,6 +25,7 @@ from rlco.physics.tasks.demonstrate import (
     demonstrate,
 )
 from rlco.physics.tasks.make_task import make_task
+from rlco.runs.whole_files import check_new_folder
 
 log = logging.getLogger("rlco.data")
 
@@ -71,8 +72,7 @@ def record_demonstrations(
             f"task {task!r} is robosuite's and has no scripted expert; record "
             "demonstrations of it elsewhere and give their LeRobot folder to sft.py."
         )
-    if Path(path).exists():
-        raise OutputExistsError(path)
+    check_new_folder(Path(path))
     what, where = make_task(task), make_domain(domain)
     given: dict[str, Any] = {
         "episodes": episodes,

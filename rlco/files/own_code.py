@@ -35,12 +35,13 @@ zero) in line ... of '...'; correct it.
     except RlcoError:
         raise
     except _RAISED as error:
+        said = reason(error)
         if isinstance(error, SyntaxError) and error.filename:
-            line, file = error.lineno, error.filename
+            said, line, file = error.msg, error.lineno, error.filename
         else:
             last = traceback.extract_tb(error.__traceback__)[-1]
             line, file = last.lineno, last.filename
         raise RlcoError(
-            f"{what} raises {type(error).__name__} ({reason(error)}) in line {line} of "
+            f"{what} raises {type(error).__name__} ({said}) in line {line} of "
             f"{file!r}; correct it."
         ) from error

@@ -6,10 +6,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from rlco.errors import RlcoError
+from rlco.errors import CheckpointError, RlcoError
 from rlco.files import Fields, shown
 from rlco.files.fingerprints import fingerprint
 from rlco.runs.config import to_plain
+from rlco.runs.metrics import MetricsFile
 from rlco.runs.options import options_of
 
 #: Where a run is, not what it does.
@@ -80,3 +81,26 @@ def check_unchanged(path: Path, info: Fields, config: object) -> None:
                 f"with ({', '.join(map(shown, before))}): its content differs or is "
                 "missing; put it back, or start a new run."
             )
+
+
+def check_checkpoint(path: Path, saved: Any, metrics: MetricsFile) -> None:
+    """Check that a checkpoint is of a run, and that the run's table is as it was then.
+
+    Args:
+        path: Its file, for messages.
+        saved: What is in it; those from before have no digest of the table.
+        metrics: The table, what came after the checkpoint taken away.
+
+    Raises:
+        CheckpointError: It is none, or rows are missing or were changed.
+    """
+    if not isinstance(saved, dict) or not {"state", "rng"} <= saved.keys():
+        raise CheckpointError(
+            f"checkpoint {str(path)!r} is none of a run: it holds no state and random "
+            "numbers; take the file away to resume from the one before."
+        )
+    if saved.get("metrics", metrics.digest()) != metrics.digest():
+        raise CheckpointError(
+            f"{str(metrics.path)!r} is not what it was when checkpoint {path.name} was "
+            "saved: rows are missing or were changed; put it back, or start a new run."
+        )

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+from rlco.errors import OutputExistsError, RlcoError
+from rlco.files import shown
 
 
 def write_text(path: Path, text: str) -> None:
@@ -38,6 +42,30 @@ def write_json(path: Path, content: Mapping[str, Any]) -> None:
 def json_text(content: Mapping[str, Any]) -> str:
     """Return the text of a JSON file."""
     return json.dumps(content, indent=2) + "\n"
+
+
+def check_new_folder(path: Path) -> None:
+    """Check that a folder can be made, before what takes long is begun.
+
+    Raises:
+        OutputExistsError: There is one, or a file.
+        RlcoError: It cannot be made there.
+    """
+    if os.path.lexists(path):
+        raise OutputExistsError(path)
+    above = next(one for one in path.absolute().parents if os.path.lexists(one))
+    try:
+        path.lstat()
+    except FileNotFoundError:
+        if os.access(above, os.W_OK | os.X_OK):
+            return
+        problem = os.strerror(errno.EACCES)
+    except OSError as error:
+        problem = str(error.strerror)
+    raise RlcoError(
+        f"output folder {shown(str(path))} cannot be made ({problem}); give another "
+        "out=DIR."
+    )
 
 
 def remove_parts(path: Path) -> None:

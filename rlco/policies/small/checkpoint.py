@@ -130,7 +130,7 @@ def load_weights(policy: nn.Module, folder: str | os.PathLike[str]) -> None:
     with reading(
         path,
         SafetensorError,
-        what="the weights",
+        what="file of weights",
         advice=advice,
         error=CheckpointError,
     ):

@@ -145,7 +145,9 @@ def _published(folder: Path) -> Iterator[tuple[str, torch.Tensor]]:
     for file in files:
         verify(file)
         with (
-            reading(file, SafetensorError, what="the weights", error=CheckpointError),
+            reading(
+                file, SafetensorError, what="file of weights", error=CheckpointError
+            ),
             safe_open(file, framework="pt") as weights,
         ):
             for name in weights.keys():  # noqa: SIM118 (it is no mapping)
