@@ -169,7 +169,7 @@ def _command_line(
         key, equals, text = argument.partition("=")
         if not equals or not key or key.startswith("-"):
             hint = f"; write {argument.lstrip('-')}" if "=" in argument[1:] else ""
-            problems.append(f"argument {argument!r} is not key=value{hint}")
+            problems.append(f"argument {shown(argument)} is not key=value{hint}")
             continue
         if key in given:
             problems.append(f"option {key} is given twice")
@@ -179,7 +179,7 @@ def _command_line(
             try:
                 value = options[key].from_text(text)
             except yaml.YAMLError:
-                problems.append(f"option {key}: {text!r} is not a YAML value")
+                problems.append(f"option {key}: {shown(text)} is not a YAML value")
                 continue
         given[key] = _Setting(key, value)
     return given
@@ -206,8 +206,8 @@ def _base_settings(
             path = Path(given["resume"].value or "") / "config.yaml"
             if not path.is_file():
                 problems.append(
-                    f"resume={given['resume'].value!r} is not a run directory: it has "
-                    "no config.yaml; give the folder of an earlier run"
+                    f"resume={shown(given['resume'].value)} is not a run directory: it "
+                    "has no config.yaml; give the folder of an earlier run"
                 )
                 return None
         elif "config" in given:
@@ -299,9 +299,13 @@ def _apply(
                 OmegaConf.update(config, key, setting.value)
                 complaint = options[key].out_of_range(OmegaConf.select(config, key))
             except InterpolationResolutionError:
-                complaint = f"{setting.value!r} refers to an option that is not set"
+                complaint = (
+                    f"{shown(setting.value)} refers to an option that is not set"
+                )
             except OmegaConfBaseException:
-                complaint = f"{setting.value!r} is not of type {options[key].type_name}"
+                complaint = (
+                    f"{shown(setting.value)} is not of type {options[key].type_name}"
+                )
         if complaint is not None:
             problems.append(setting.problem(f"option {key}: {complaint}"))
 
@@ -336,6 +340,6 @@ def _check_unchanged(
         before, now = OmegaConf.select(saved, key), OmegaConf.select(config, key)
         if before != now:
             problems.append(
-                f"option {key} cannot change on resume: the run has {before!r}, "
-                f"given was {now!r}"
+                f"option {key} cannot change on resume: the run has {shown(before)}, "
+                f"given was {shown(now)}"
             )

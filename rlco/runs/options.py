@@ -38,7 +38,7 @@ def rename_map(text: str) -> dict[str, str]:
     """
     pairs = [pair.rpartition(":") for pair in text.split(",") if pair]
     if not all(theirs and ours for theirs, _, ours in pairs):
-        raise ConfigError([f"rename={text!r} is not THEIRS:OURS,THEIRS:OURS"])
+        raise ConfigError([f"rename={shown(text)} is not THEIRS:OURS,THEIRS:OURS"])
     return {theirs: ours for theirs, _, ours in pairs}
 
 
@@ -58,7 +58,7 @@ def scale_map(text: str) -> dict[str, float]:
     except ValueError:
         found = {"": 0.0}
     if "" in found:
-        raise ConfigError([f"scale={text!r} is not THEIRS:NUMBER,THEIRS:NUMBER"])
+        raise ConfigError([f"scale={shown(text)} is not THEIRS:NUMBER,THEIRS:NUMBER"])
     return found
 
 
@@ -85,6 +85,8 @@ def distinct(values: Any) -> str | None:
         >>> distinct(["sft"]), distinct([]), distinct(["sft", "sft"])
         (None, '[] is empty; give one or more', "['sft', 'sft'] has one of them twice")
     """
+    if isinstance(values, str):
+        return None  # a list as text, which its type refuses or reads
     if not values:
         return "[] is empty; give one or more"
     if len(set(values)) < len(values):
@@ -204,10 +206,14 @@ class Option:
         if choices and value not in choices and value is not None:
             allowed = ", ".join(repr(choice) for choice in choices)
             near = suggest(str(value), [str(choice) for choice in choices])
-            return f"{value!r} is not one of {allowed}{near}"
+            return f"{shown(value)} is not one of {allowed}{near}"
         # OmegaConf takes any number for a flag; 2 is more likely a mistake.
         if bool in _members(self.hint) and isinstance(value, int | float):
-            return None if isinstance(value, bool) else f"{value!r} is not of type bool"
+            return (
+                None
+                if isinstance(value, bool)
+                else f"{shown(value)} is not of type bool"
+            )
         return None
 
     def out_of_range(self, value: Any) -> str | None:
@@ -224,11 +230,11 @@ class Option:
         if math.isnan(value):
             return "nan is not a number"
         if math.isinf(value) and not self.infinite:
-            return f"{value!r} is not a finite number"
+            return f"{shown(value)} is not a finite number"
         if self.minimum is not None and value < self.minimum:
-            return f"{value!r} is below the least allowed, {self.minimum!r}"
+            return f"{shown(value)} is below the least allowed, {self.minimum!r}"
         if self.maximum is not None and value > self.maximum:
-            return f"{value!r} is above the greatest allowed, {self.maximum!r}"
+            return f"{shown(value)} is above the greatest allowed, {self.maximum!r}"
         return None
 
 
@@ -267,7 +273,7 @@ def unknown_option(key: str, options: Mapping[str, Option]) -> str:
     inner = [name for name in options if name.rpartition(".")[2] == key]
     if inner and not near:
         near = f" (did you mean {inner[0]!r}?)"
-    return f"unknown option {key!r}{near}; 'help' lists them all"
+    return f"unknown option {shown(key)}{near}; 'help' lists them all"
 
 
 def help_table(config_class: type, recipe_path: Path, configs: Iterable[str]) -> str:

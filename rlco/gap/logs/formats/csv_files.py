@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from rlco.errors import DataError
-from rlco.files import reading
+from rlco.files import reading, shown
 from rlco.files.texts import read_text
 from rlco.gap.logs.formats.columns import tables_of
 from rlco.gap.logs.formats.list_cells import list_columns, split_lists
@@ -150,7 +150,7 @@ def _numbers(
     if sum(good) > len(good) / 2:
         row = good.index(False)
         raise DataError(
-            f"column {name!r} of {str(path)!r} holds {cells[row]!r} in row {row + 1}, "
+            f"column {name!r} of {str(path)!r} holds {shown(cells[row])} in row {row + 1}, "
             "which is not a number; correct or delete that row."
         )
     return None
