@@ -187,7 +187,10 @@ def main() -> None:
                 if outcome not in ("read", "refused"):
                     last = said.strip().splitlines()[-1:] or [""]
                     where = re.findall(r'File "[^"]*/(rlco/[^"]+)", line (\d+)', said)
-                    print(f"{name} seed={seed}: {outcome} {last[0][:200]} {where[-1:]}")
+                    print(
+                        f"{name} seed={seed}: {outcome} {last[0][:200]} {where[-1:]}",
+                        flush=True,
+                    )
             seed += 1
     kinds = ["refused", "read"]
     kinds += sorted({kind for c in counts.values() for kind in c} - set(kinds))

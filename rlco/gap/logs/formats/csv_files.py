@@ -150,7 +150,7 @@ def _numbers(
     if sum(good) > len(good) / 2:
         row = good.index(False)
         raise DataError(
-            f"column {name!r} of {str(path)!r} holds {shown(cells[row])} in row {row + 1}, "
-            "which is not a number; correct or delete that row."
+            f"column {name!r} of {str(path)!r} holds {shown(cells[row])} in row "
+            f"{row + 1}, which is not a number; correct or delete that row."
         )
     return None
