@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rlco.run import Run, run_recipe
-from rlco.runs.config import REQUIRED, option
+from rlco.runs.config import REQUIRED, folder_name, option
 from rlco.runs.indices import format_indices, index_list
 from rlco.training.policy_options import PolicyOptions, group_values
 from rlco.training.stage_one import StageOneOptions
@@ -32,7 +32,9 @@ log = logging.getLogger("rlco.align")
 class Config(PolicyOptions):
     """Options of align.py."""
 
-    name: str = option("align", "name of the run, a part of its folder's name")
+    name: str = option(
+        "align", "name of the run, a part of its folder's name", check=folder_name
+    )
     task: str | None = option(
         "push_cube",
         "name of the task; null: a robot that no simulator has, sizes from the data",

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rlco.run import run_recipe
-from rlco.runs.config import option
+from rlco.runs.config import LAST_SEED, option
 
 if TYPE_CHECKING:
     from rlco.physics.tasks.expert_success import ExpertSuccess
@@ -41,7 +41,9 @@ class Config:
     noise: float = option(
         0.0, "noise of the commands; demonstrations have 0.1", minimum=0, maximum=1
     )
-    seed: int = option(0, "seed of initial states and noise", minimum=0)
+    seed: int = option(
+        0, "seed of initial states and noise", minimum=0, maximum=LAST_SEED
+    )
     effects_code: str | None = option(
         None, "Python file that registers effects of your own"
     )

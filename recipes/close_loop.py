@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rlco.run import Run, run_recipe
-from rlco.runs.config import option
+from rlco.runs.config import folder_name, option
 from rlco.training.policy_options import KindOptions, group_values
 from rlco.training.stage_one import StageOneOptions
 
@@ -36,7 +36,9 @@ METHODS = ("nominal", "corrected", "oracle")
 class Config(KindOptions):
     """Options of close_loop.py."""
 
-    name: str = option("close_loop", "name of the run, a part of its folder's name")
+    name: str = option(
+        "close_loop", "name of the run, a part of its folder's name", check=folder_name
+    )
     task: str = option("push_cube", "name of the task")
     simulator: str = option(
         "stand_in",

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 from rlco.run import Run, run_recipe
-from rlco.runs.config import REQUIRED, RunOptions, option
+from rlco.runs.config import REQUIRED, RunOptions, folder_name, option
 
 log = logging.getLogger("rlco.evaluate")
 
@@ -24,7 +24,9 @@ log = logging.getLogger("rlco.evaluate")
 class Config(RunOptions):
     """Options of evaluate.py."""
 
-    name: str = option("evaluate", "name of the run, a part of its folder's name")
+    name: str = option(
+        "evaluate", "name of the run, a part of its folder's name", check=folder_name
+    )
     policy: str = option(REQUIRED, "folder of a saved policy")
     method: str = option("policy", "what to call it in results.json")
     task: str = option("push_cube", "name of the task")

@@ -29,7 +29,7 @@ from rlco.run import run_recipe
 from rlco.runs.config import REQUIRED, option
 from rlco.runs.options import rename_map, scale_map
 from rlco.runs.run_folder import command_line
-from rlco.runs.whole_files import write_json
+from rlco.runs.whole_files import check_new_folder, write_json
 
 log = logging.getLogger("rlco.find_gap")
 
@@ -156,11 +156,7 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
 def new_folder(out: str) -> Iterator[Path]:
     """Make the output folder, and take it away again where nothing came into it."""
     path = Path(out)
-    if path.exists():
-        raise RlcoError(
-            f"output folder {out!r} exists and is not overwritten; give another "
-            "out=DIR."
-        )
+    check_new_folder(path)
     made = [folder for folder in (path, *path.parents) if not folder.exists()]
     try:
         path.mkdir(parents=True)

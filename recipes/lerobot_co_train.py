@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from rlco.errors import ConfigError
 from rlco.run import Run, run_recipe
-from rlco.runs.config import REQUIRED, RunOptions, option
+from rlco.runs.config import REQUIRED, RunOptions, folder_name, option
 from rlco.training.policy_options import LARGEST_LR
 
 if TYPE_CHECKING:
@@ -34,10 +34,12 @@ log = logging.getLogger("rlco.lerobot_co_train")
 class Config(RunOptions):
     """Options of lerobot_co_train.py."""
 
-    name: str = option("co_train", "name of the run, a part of its folder's name")
-    policy: str = option(REQUIRED, "LeRobot's folder pretrained_model")
+    name: str = option(
+        "co_train", "name of the run, a part of its folder's name", check=folder_name
+    )
+    policy: str = option(REQUIRED, "LeRobot's folder pretrained_model", input=True)
     tokenizer: str | None = option(
-        None, "folder of the tokenizer, for machines without network"
+        None, "folder of the tokenizer, for machines without network", input=True
     )
     allow_code: list[str] = option(
         [], "code of yours that its files may name, my_module.MyStep; it runs"
@@ -47,7 +49,9 @@ class Config(RunOptions):
         None, "the checkpoint's camera that sees the task; null: its only one"
     )
     task: str = option("push_cube", "name of the task")
-    real_demos: str | None = option(None, "LeRobot folder of real demonstrations")
+    real_demos: str | None = option(
+        None, "LeRobot folder of real demonstrations", input=True
+    )
     real_camera: str | None = option(
         None, "camera of real_demos; null: the checkpoint's name for it"
     )
@@ -63,6 +67,7 @@ class Config(RunOptions):
     stats: str | None = option(
         None,
         "LeRobot folder whose statistics normalise, for a checkpoint without its own",
+        input=True,
     )
     executed: int | None = option(
         None, "steps of a chunk that are executed; null: the checkpoint's", minimum=1
@@ -127,12 +132,15 @@ class Config(RunOptions):
     eval_domains: list[str] = option(
         ["sim"],
         "domains to evaluate in: names, MODULE:NAME, or paths of effects.yaml files",
+        input=True,
     )
     train_domain: str = option(
-        "sim", "domain to train in: a name, MODULE:NAME, or the path of an effects.yaml"
+        "sim",
+        "domain to train in: a name, MODULE:NAME, or the path of an effects.yaml",
+        input=True,
     )
     effects_code: str | None = option(
-        None, "Python file that registers effects of your own"
+        None, "Python file that registers effects of your own", input=True
     )
 
 

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from rlco.errors import ConfigError, RenderingError, UnknownNameError
 from rlco.run import Run, run_recipe
-from rlco.runs.config import option
+from rlco.runs.config import distinct, folder_name, option
 from rlco.training.policy_options import (
     SIM_CAMERA,
     AugmentOptions,
@@ -45,10 +45,12 @@ METHODS = ("real_only", "sft", "rl_only", "rl_co")
 class Config(PolicyOptions):
     """Options of quickstart.py."""
 
-    name: str = option("quickstart", "name of the run, a part of its folder's name")
+    name: str = option(
+        "quickstart", "name of the run, a part of its folder's name", check=folder_name
+    )
     task: str = option("push_cube", "name of the task")
     methods: list[str] = option(
-        list(METHODS), f"which to compare: {', '.join(METHODS)}"
+        list(METHODS), f"which to compare: {', '.join(METHODS)}", check=distinct
     )
     sim_demos: int = option(
         12, "demonstrations to record in the training domain", minimum=1
@@ -80,17 +82,21 @@ class Config(PolicyOptions):
         ["sim", "stand_in"],
         "domains to compare in: names, MODULE:NAME, or paths of effects.yaml files; "
         "the last one is filmed",
+        input=True,
     )
     final_domains: list[str] = option(
-        [], "further ones for the comparison alone, not for curves, such as locked"
+        [],
+        "further ones for the comparison alone, not for curves, such as locked",
+        input=True,
     )
     train_domain: str = option(
         "sim",
         "domain of the simulated demonstrations and of Stage II: a name, "
         "MODULE:NAME, or the path of an effects.yaml",
+        input=True,
     )
     effects_code: str | None = option(
-        None, "Python file that registers effects of your own"
+        None, "Python file that registers effects of your own", input=True
     )
 
 

@@ -15,7 +15,7 @@ import logging
 from dataclasses import dataclass
 
 from rlco.run import run_recipe
-from rlco.runs.config import REQUIRED, option
+from rlco.runs.config import LAST_SEED, REQUIRED, option
 
 log = logging.getLogger("rlco.record_demos")
 
@@ -35,7 +35,9 @@ class Config:
     noise: float = option(
         0.1, "noise of the commands, in units of their range", minimum=0, maximum=1
     )
-    seed: int = option(0, "seed of initial states and noise", minimum=0)
+    seed: int = option(
+        0, "seed of initial states and noise", minimum=0, maximum=LAST_SEED
+    )
     effects: str | None = option(
         None, "effects.yaml: what to add to the domain's simulator"
     )

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from rlco.run import run_recipe
-from rlco.runs.config import REQUIRED, option
+from rlco.runs.config import LAST_SEED, REQUIRED, option
 
 log = logging.getLogger("rlco.record_logs")
 
@@ -36,7 +36,9 @@ class Config:
     known: str = option("sim", "the domain that the model has")
     recordings: int = option(6, "recordings of the arm", minimum=2)
     seconds: float = option(10.0, "length of a recording [s]", minimum=4)
-    seed: int = option(0, "seed of postures, motions and noise", minimum=0)
+    seed: int = option(
+        0, "seed of postures, motions and noise", minimum=0, maximum=LAST_SEED
+    )
     effects_code: str | None = option(
         None, "Python file that registers effects of your own"
     )

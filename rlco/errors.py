@@ -9,9 +9,34 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable, Sequence
 
+#: Of a name [characters].
+_LONGEST = 200
+
 
 class RlcoError(ValueError):
-    """Base of every error that wrong input can cause."""
+    """Base of every error that wrong input can cause.
+
+    What it quotes of a file cannot move the cursor of a terminal, see `printable`.
+    """
+
+    def __init__(self, message: str) -> None:
+        super().__init__(printable(message))
+
+
+def printable(text: str) -> str:
+    r"""Return a text with its control characters, such as a terminal's, written out.
+
+    Example:
+        >>> printable("q1 \x1b[2J")
+        'q1 \\x1b[2J'
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in "\n\t" else _escaped(c) for c in text)
+
+
+def _escaped(character: str) -> str:
+    return character.encode("unicode_escape", "backslashreplace").decode("ascii")
 
 
 def suggest(given: str, allowed: Iterable[str]) -> str:
@@ -21,6 +46,8 @@ def suggest(given: str, allowed: Iterable[str]) -> str:
         >>> suggest("sim_ration", ["sim_ratio", "seed"])
         " (did you mean 'sim_ratio'?)"
     """
+    if len(given) > _LONGEST:  # no slip of the pen, and it would take minutes
+        return ""
     near = difflib.get_close_matches(given, list(allowed), n=1)
     return f" (did you mean {near[0]!r}?)" if near else ""
 
@@ -35,7 +62,7 @@ class UnknownNameError(RlcoError):
 
     def __init__(self, kind: str, given: str, allowed: Sequence[str]) -> None:
         super().__init__(
-            f"unknown {kind} {given!r}{suggest(given, allowed)}; "
+            f"unknown {kind} {given[:_LONGEST]!r}{suggest(given, allowed)}; "
             f"known: {', '.join(allowed)}."
         )
 

@@ -8,7 +8,9 @@ from __future__ import annotations
 import inspect
 import logging
 import os
+import re
 import shutil
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -23,8 +25,16 @@ from rlco.errors import NonFiniteError, RlcoError
 from rlco.reporting.headless import choose_gl
 from rlco.runs import run_folder
 from rlco.runs.config import RunOptions, parse, to_yaml
+from rlco.runs.endings import STORAGE, Stopped, stop_on_signals, storage_problem
 from rlco.runs.metrics import MetricsFile
-from rlco.runs.whole_files import remove_parts, write_json, write_text
+from rlco.runs.resumed import (
+    check_checkpoint,
+    check_unchanged,
+    inputs_of,
+    options_by_name,
+)
+from rlco.runs.run_log import LogFile, Printable
+from rlco.runs.whole_files import json_text, remove_parts, write_json, write_text
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
@@ -36,6 +46,7 @@ log = logging.getLogger("rlco.run")
 _SHOWN = ("success", "loss", "imitation_error")
 
 
+_NAME = re.compile(r"step_\d{7,}\.safetensors")
 #: Between lines on the progress of a run where there is no terminal for a bar [s].
 QUIET = 15.0
 
@@ -49,8 +60,9 @@ def run_recipe[C](
 ) -> None:
     """Start a recipe: read its options, run it, turn wrong input into one sentence.
 
-    Wrong input ends with its message on stderr and status 2, Ctrl-C with status
-    130. Every other exception keeps its traceback: it is a defect.
+    Wrong input ends with its message on stderr and status 2, a full or read-only disk
+    with status 1, Ctrl-C with status 130, SIGTERM and SIGHUP with 143 and 129. Every
+    other exception keeps its traceback: it is a defect.
 
     Args:
         main: The recipe; its file names the recipe and the folder of its YAML.
@@ -65,8 +77,9 @@ def run_recipe[C](
     # TorchRL reads it at its import, and says a line for each storage without it.
     os.environ.setdefault("RL_LOGGING_LEVEL", "WARNING")
     console = logging.StreamHandler()
-    console.setFormatter(logging.Formatter("%(message)s"))
+    console.setFormatter(Printable("%(message)s"))
     logger.addHandler(console)
+    stop_on_signals()
     try:
         argv = sys.argv[1:] if argv is None else argv
         config = parse(config_class, argv, inspect.getfile(main))
@@ -76,8 +89,14 @@ def run_recipe[C](
     except RlcoError as error:
         sys.stderr.write(f"error: {error}\n")
         raise SystemExit(2) from None
-    except KeyboardInterrupt:
-        raise SystemExit(130) from None
+    except OSError as error:
+        if error.errno not in STORAGE:
+            raise
+        sys.stderr.write(f"error: {storage_problem(error)}\n")
+        raise SystemExit(1) from None
+    except KeyboardInterrupt as stop:
+        number = stop.number if isinstance(stop, Stopped) else signal.SIGINT
+        raise SystemExit(128 + number) from None
     finally:
         logger.removeHandler(console)
 
@@ -121,17 +140,25 @@ class Run:
         self.resumed = config.resume is not None
         if config.resume is not None:
             self.path = Path(config.resume)
-            self._info = run_folder.read_info(self.path, recipe)
+            info = run_folder.read_info(self.path, recipe)
+            check_unchanged(self.path, info, config)
             self._lock = run_folder.lock(self.path)
+            self._info = dict(info.content)
             self._info["resumed"].append(run_folder.command_line())
         else:
+            self._info = run_folder.origin(recipe)
+            self._info["inputs"] = inputs_of(config)
+        self._info["options"] = options_by_name(config)
+        self._info["status"] = "running"
+        options = to_yaml(config, leave_out=("out", "resume"))
+        if self.resumed:
+            write_text(self.path / "config.yaml", options)
+        else:
+            first = {"config.yaml": options, "run.json": json_text(self._info)}
             self.path = run_folder.create(
-                config.out, config.name, config.seed, recipe, root
+                config.out, config.name, config.seed, recipe, root, first
             )
             self._lock = run_folder.lock(self.path)
-            self._info = run_folder.origin(recipe)
-        options = to_yaml(config, leave_out=("out", "resume"))
-        write_text(self.path / "config.yaml", options)
         self._start: float = time.perf_counter() - self._info["seconds"]
         self._write_info("running")
         self._open_tables()
@@ -159,9 +186,9 @@ class Run:
             self._open_board()
 
     def _open_log(self) -> None:
-        self._handler = logging.FileHandler(self.path / "log.txt", encoding="utf-8")
+        self._handler = LogFile(self.path / "log.txt", encoding="utf-8")
         self._handler.setFormatter(
-            logging.Formatter("%(asctime)s %(levelname)s %(name)s: %(message)s")
+            Printable("%(asctime)s %(levelname)s %(name)s: %(message)s")
         )
         logging.getLogger("rlco").addHandler(self._handler)
 
@@ -175,7 +202,7 @@ class Run:
         trace: TracebackType | None,
     ) -> None:
         status = "finished"
-        if kind is KeyboardInterrupt:
+        if kind is not None and issubclass(kind, KeyboardInterrupt):
             status = "interrupted"
             log.warning("interrupted; resume=%s continues this run", self.path)
         elif kind is not None and error is not None:
@@ -183,14 +210,21 @@ class Run:
             # For the file alone: on the screen the error speaks for itself.
             what = (status, (), (kind, error, trace))
             self._handler.handle(log.makeRecord(log.name, logging.ERROR, "", 0, *what))
+            if isinstance(error, OSError) and error.errno in STORAGE:
+                log.warning("resume=%s continues this run then", self.path)
             if isinstance(error, NonFiniteError) and self.step is not None:
                 log.warning("the last good state is %s", self._last_checkpoint())
-        self._write_info(status)
-        if self._board is not None:
-            self._board.close()
         logging.getLogger("rlco").removeHandler(self._handler)
-        self._handler.close()
-        os.close(self._lock)
+        try:
+            self._write_info(status)
+            if self._board is not None:
+                self._board.close()
+            self._handler.close()
+        except OSError:
+            if error is None:  # else the first one says why
+                raise
+        finally:
+            os.close(self._lock)
 
     @property
     def seconds(self) -> float:
@@ -284,7 +318,10 @@ class Run:
         self._metrics.sync()
         self._timings.sync()
         path = _made(self.checkpoints) / f"step_{step:07d}.safetensors"
-        save_state(path, {"state": state, "rng": rng_state()})
+        save_state(
+            path,
+            {"state": state, "rng": rng_state(), "metrics": self._metrics.digest()},
+        )
         self.step = step
         for old in _checkpoint_files(self.checkpoints)[:-keep]:
             old.unlink()
@@ -295,7 +332,8 @@ class Run:
         """Return the last checkpoint's state; None where a run starts afresh.
 
         Raises:
-            CheckpointError: It cannot be read, or holds NaN or infinity.
+            CheckpointError: It cannot be read, holds NaN or infinity, or metrics.csv
+                is not what it was when it was saved.
         """
         from rlco.finite import check_loaded, named_tensors
         from rlco.runs.state_files import load_state
@@ -304,6 +342,7 @@ class Run:
             return None
         path = self._last_checkpoint()
         saved = load_state(path)
+        check_checkpoint(path, saved, self._metrics)
         advice = "take the file away to resume from the one before, if there is one"
         check_loaded(str(path), named_tensors(saved["state"]), advice=advice)
         self._rng = saved["rng"]
@@ -393,7 +432,8 @@ class Run:
 
 def _checkpoint_files(folder: Path) -> list[Path]:
     """List whole checkpoints, oldest first; one cut off has another name."""
-    return sorted(folder.glob("step_*.safetensors"))
+    found = folder.glob("step_*.safetensors")
+    return sorted(file for file in found if _NAME.fullmatch(file.name))
 
 
 def _made(folder: Path) -> Path:

@@ -6,6 +6,7 @@ import logging
 import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,7 @@ from rlco.physics.tasks.demonstrate import (
     demonstrate,
 )
 from rlco.physics.tasks.make_task import make_task
+from rlco.runs.whole_files import check_new_folder
 
 log = logging.getLogger("rlco.data")
 
@@ -70,6 +72,7 @@ def record_demonstrations(
             f"task {task!r} is robosuite's and has no scripted expert; record "
             "demonstrations of it elsewhere and give their LeRobot folder to sft.py."
         )
+    check_new_folder(Path(path))
     what, where = make_task(task), make_domain(domain)
     given: dict[str, Any] = {
         "episodes": episodes,
@@ -80,9 +83,10 @@ def record_demonstrations(
     size = None if image_size is None else (image_size, image_size)
     demonstrations = _played(what, where, camera, size, given)
     frames = 0
-    with (
-        _filmed_failure(Path(path), what, where, effects),
-        DemoWriter(
+    with _filmed_failure(Path(path), what, where, effects):
+        # Effects that cannot be are noticed by the first one, before there is a folder.
+        played = chain([next(demonstrations)], demonstrations)
+        writer = DemoWriter(
             path,
             fps=what.control_frequency,
             state_names=what.state_names,
@@ -92,13 +96,13 @@ def record_demonstrations(
             camera=camera,
             image_size=size,
             video=video,
-        ) as writer,
-    ):
-        for demonstration, images in tqdm(
-            demonstrations, "episodes", total=episodes, disable=None
-        ):
-            _write(writer, demonstration, images)
-            frames += len(demonstration.action)
+        )
+        with writer:
+            for demonstration, images in tqdm(
+                played, "episodes", total=episodes, disable=None
+            ):
+                _write(writer, demonstration, images)
+                frames += len(demonstration.action)
     return frames
 
 

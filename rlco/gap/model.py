@@ -8,9 +8,11 @@ from pathlib import Path
 import mujoco
 
 from rlco.errors import RlcoError, UnknownNameError
+from rlco.files.texts import read_text
 from rlco.gap import servo_models
 from rlco.gap.prune import compile_whole, prune, prune_whole
 from rlco.gap.servo_models import Pendulum, Servo, pendulum_xml, servo_named
+from rlco.gap.trial import does_not_compile, try_model
 from rlco.physics.effects import targets
 
 #: Prefix of a robosuite task's name, given in place of a file's path.
@@ -84,19 +86,19 @@ def load_model(model: str | Path) -> LoadedModel:
             f"model {str(path)!r} is not a file; give an MJCF file, or a task as "
             f"model={PREFIX}push_cube, or a servo as model={servo_models.PREFIX}xl330."
         )
+    source = read_text(path, advice="give an MJCF or URDF file", error=RlcoError)
+    try_model(path, source)
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         whole = compile_whole(spec)
     except ValueError as error:
-        raise RlcoError(
-            f"model {str(path)!r} does not compile; MuJoCo says: {_on_one_line(error)}"
-        ) from None
+        raise does_not_compile(path, str(error)) from None
     slim = prune_whole(whole)
     return LoadedModel(
         name=_name(spec, path.stem),
         spec=slim,
         model=slim.copy().compile(),
-        source=path.read_text(),
+        source=source,
         path=path,
     )
 
@@ -149,8 +151,3 @@ def _load_task(name: str) -> LoadedModel:
 def _name(spec: mujoco.MjSpec, stem: str) -> str:
     # The second is MuJoCo's default for a model without a name.
     return stem if spec.modelname in ("", "MuJoCo Model") else str(spec.modelname)
-
-
-def _on_one_line(error: Exception) -> str:
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    return "; ".join(lines)

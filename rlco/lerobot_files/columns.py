@@ -10,8 +10,10 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from rlco.errors import DataError
+from rlco.files import reading
+from rlco.files.places import inside
 from rlco.lerobot_files.schema import Episode, Feature, LeRobotFolder
-from rlco.lerobot_files.tables import read_table
+from rlco.lerobot_files.tables import read_table, whole_numbers
 
 Array = npt.NDArray[np.generic]
 
@@ -43,7 +45,7 @@ def read_columns(folder: LeRobotFolder, names: Iterable[str]) -> dict[str, Array
         by_file.setdefault(episode.data_file, []).append(episode)
     parts: dict[int, dict[str, Array]] = {}
     for file, episodes in by_file.items():
-        parts |= _read_file(file, episodes, features)
+        parts |= _read_file(inside(folder.path, file), episodes, features)
     columns = {
         name: np.concatenate(
             [parts[episode.index][name] for episode in folder.episodes]
@@ -92,15 +94,17 @@ def episode_rows(
     Raises:
         DataError: If an episode has other frames than its metadata lists.
     """
-    episode = np.asarray(table["episode_index"].to_numpy())
-    frame = np.asarray(table["frame_index"].to_numpy())
+    episode = whole_numbers(file, table, "episode_index")
+    frame = whole_numbers(file, table, "frame_index")
     order = np.lexsort((frame, episode))
     ordered = episode[order]
     rows = {}
     for entry in episodes:
         start, stop = np.searchsorted(ordered, [entry.index, entry.index + 1])
         where = order[start:stop]
-        if not np.array_equal(frame[where], np.arange(entry.length)):
+        # The length first: it is a number in a file, and may be any.
+        as_listed = len(where) == entry.length
+        if not (as_listed and np.array_equal(frame[where], np.arange(entry.length))):
             raise DataError(
                 f"episode {entry.index} in file {str(file)!r} holds {len(where)} "
                 f"frames, not exactly the frames 0 to {entry.length - 1} that the "
@@ -120,7 +124,8 @@ def _to_array(file: Path, column: pa.ChunkedArray, feature: Feature) -> Array:
     name = feature.stored_name
     if nulls:
         raise DataError(f"column {name!r} of file {str(file)!r} has missing values.")
-    flat = np.asarray(values.to_numpy(zero_copy_only=False))
+    with reading(file, pa.ArrowException):
+        flat = np.asarray(values.to_numpy(zero_copy_only=False))
     if flat.dtype.kind not in "fiub":
         raise DataError(
             f"column {name!r} of file {str(file)!r} holds {values.type}, not numbers."

@@ -3,13 +3,22 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from functools import cache
+from itertools import chain
 from pathlib import Path
 from typing import Any, Literal, NoReturn
 
 from rlco.errors import DataError
+from rlco.files import Fields, read_json_lines, shown
+from rlco.files.places import filled, inside
 from rlco.lerobot_files.schema import Episode, VideoSpan
-from rlco.lerobot_files.tables import has_footer, read_jsonl, read_table
+from rlco.lerobot_files.tables import (
+    has_footer,
+    read_table,
+    real_numbers,
+    whole_numbers,
+)
 from rlco.runs.indices import format_indices
 
 _DATA_V2 = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
@@ -22,58 +31,53 @@ _VIDEO_V3 = "videos/{video_key}/chunk-{chunk_index:03d}/file-{file_index:03d}.mp
 
 def tasks_v2(path: Path) -> dict[int, str]:
     """Return the task texts of a v2.1 folder by their index."""
-    file = path / "meta" / "tasks.jsonl"
-    try:
-        return {int(row["task_index"]): str(row["task"]) for row in read_jsonl(file)}
-    except KeyError as error:
-        raise DataError(f"a line of file {str(file)!r} lacks {error}.") from None
+    rows = read_json_lines(inside(path, path / "meta" / "tasks.jsonl"))
+    return {row.integer("task_index"): row.text("task") for row in rows}
 
 
 def tasks_v3(path: Path) -> dict[int, str]:
     """Return the task texts of a v3 folder by their index."""
-    file = path / "meta" / "tasks.parquet"
-    table = read_table(file).to_pydict()
+    file = inside(path, path / "meta" / "tasks.parquet")
+    table = read_table(file)
     # pandas stores the text as the index, whose column name depends on the writer.
-    texts = table.get("task", table.get("__index_level_0__"))
-    if texts is None or "task_index" not in table:
+    texts = [
+        name for name in ("task", "__index_level_0__") if name in table.schema.names
+    ]
+    if not texts or "task_index" not in table.schema.names:
         raise DataError(f"file {str(file)!r} has no columns task and task_index.")
-    return {int(i): str(t) for i, t in zip(table["task_index"], texts, strict=True)}
+    indices = whole_numbers(file, table, "task_index").tolist()
+    tasks = table[texts[0]].to_pylist()
+    return {index: str(task) for index, task in zip(indices, tasks, strict=True)}
 
 
-def episodes_v2(
-    path: Path, info: dict[str, Any], videos: Sequence[str]
-) -> list[Episode]:
+def episodes_v2(path: Path, info: Fields, videos: Sequence[str]) -> list[Episode]:
     """List the episodes of a v2.1 folder: one data file and one video each."""
-    data_path = str(info.get("data_path") or _DATA_V2)
-    video_path = str(info.get("video_path") or _VIDEO_V2)
-    chunk_size = int(info.get("chunks_size") or 1000)
-    file = path / "meta" / "episodes.jsonl"
+    data_path = info.text("data_path", None) or _DATA_V2
+    video_path = info.text("video_path", None) or _VIDEO_V2
+    chunk_size = info.integer("chunks_size", 1000, minimum=1)
     listed = []
-    for row in read_jsonl(file):
-        if "episode_index" not in row or "length" not in row:
-            raise DataError(
-                f"a line of file {str(file)!r} lacks episode_index or length."
-            )
-        index = int(row["episode_index"])
+    for row in read_json_lines(inside(path, path / "meta" / "episodes.jsonl")):
+        index = row.integer("episode_index", minimum=0)
         where = {"episode_index": index, "episode_chunk": index // chunk_size}
         spans = {
-            key: VideoSpan(path / video_path.format(video_key=key, **where), 0.0)
+            key: VideoSpan(
+                _file(path, "video_path", video_path, video_key=key, **where), 0.0
+            )
             for key in videos
         }
-        data_file = path / data_path.format(**where)
-        listed.append(Episode(index, int(row["length"]), data_file, spans))
+        length = row.integer("length", minimum=0)
+        data_file = _file(path, "data_path", data_path, **where)
+        listed.append(Episode(index, length, data_file, spans))
     return listed
 
 
-def episodes_v3(
-    path: Path, info: dict[str, Any], videos: Sequence[str]
-) -> list[Episode]:
+def episodes_v3(path: Path, info: Fields, videos: Sequence[str]) -> list[Episode]:
     """List the episodes of a v3 folder, many of which share a file.
 
     Raises:
         DataError: If the recording was never finished, or a table is damaged.
     """
-    total = int(info.get("total_episodes") or 0)
+    total = info.integer("total_episodes", 0, minimum=0)
     files = sorted((path / "meta" / "episodes").rglob("*.parquet"))
     data_files = sorted((path / "data").rglob("*.parquet"))
     # LeRobot writes the footers of its last table and of its last data file at the very
@@ -84,43 +88,74 @@ def episodes_v3(
         and not (data_files and has_footer(data_files[-1]))
     ):
         raise_unfinished(path, "LeRobot's finalize() was never called")
-    columns = ["episode_index", "length", *_location_columns("data")]
-    for key in videos:
-        columns += [*_location_columns(f"videos/{key}"), f"videos/{key}/from_timestamp"]
-    rows = [row for file in files for row in read_table(file, columns).to_pylist()]
-    if len(rows) < total:
-        raise_unfinished(path, f"{len(rows)} of {total} episodes were written out")
-    lacking = [name for name in columns if rows and name not in rows[0]]
-    if lacking:
+    listed = [
+        episode for file in files for episode in _table_v3(path, file, info, videos)
+    ]
+    if len(listed) < total:
+        raise_unfinished(path, f"{len(listed)} of {total} episodes were written out")
+    return listed
+
+
+def _table_v3(
+    path: Path, file: Path, info: Fields, videos: Sequence[str]
+) -> Iterator[Episode]:
+    """Give the episodes that one table lists."""
+    prefixes = ["data", *(f"videos/{key}" for key in videos)]
+    starts = [f"videos/{key}/from_timestamp" for key in videos]
+    counts = ["episode_index", "length", *chain(*map(_location_columns, prefixes))]
+    table = read_table(inside(path, file), [*counts, *starts])
+    lacking = [name for name in (*counts, *starts) if name not in table.schema.names]
+    if lacking and table.num_rows:
         raise DataError(
             f"the episode table of data set {str(path)!r} has no column "
             f"{', '.join(lacking)}."
         )
-    data_path = str(info.get("data_path") or _DATA_V3)
-    video_path = str(info.get("video_path") or _VIDEO_V3)
-    listed = []
-    for row in rows:
+    if not table.num_rows:
+        return
+    columns: dict[str, list[Any]] = {
+        name: whole_numbers(file, table, name).tolist() for name in counts
+    }
+    columns |= {name: real_numbers(file, table, name).tolist() for name in starts}
+    data_path = info.text("data_path", None) or _DATA_V3
+    video_path = info.text("video_path", None) or _VIDEO_V3
+
+    @cache  # many episodes share a file
+    def place(prefix: str, chunk: int, number: int) -> Path:
+        where = {"chunk_index": chunk, "file_index": number}
+        if prefix == "data":
+            return _file(path, "data_path", data_path, **where)
+        key = prefix.removeprefix("videos/")
+        return _file(path, "video_path", video_path, video_key=key, **where)
+
+    for row in range(table.num_rows):
+        data, *films = [
+            place(prefix, *(columns[name][row] for name in _location_columns(prefix)))
+            for prefix in prefixes
+        ]
         spans = {
-            key: VideoSpan(
-                path / _locate(row, f"videos/{key}", video_path, video_key=key),
-                float(row[f"videos/{key}/from_timestamp"]),
-            )
-            for key in videos
+            key: VideoSpan(film, columns[start][row])
+            for key, film, start in zip(videos, films, starts, strict=True)
         }
-        data_file = path / _locate(row, "data", data_path)
-        listed.append(
-            Episode(int(row["episode_index"]), int(row["length"]), data_file, spans)
+        index, length = columns["episode_index"][row], columns["length"][row]
+        yield Episode(index, length, data, spans)
+
+
+def _file(path: Path, option: str, template: str, **where: str | int) -> Path:
+    """Return the file that a path of meta/info.json names; it stays in the folder.
+
+    Links are followed when it is read.
+    """
+    text = filled(template, where, option, given=str(path))
+    if ".." in Path(text).parts or Path(text).is_absolute() or "\0" in text:
+        raise DataError(
+            f"{option} of data set {str(path)!r} leads out of it, to {shown(text)}; "
+            "give a path inside."
         )
-    return listed
+    return path / text
 
 
 def _location_columns(prefix: str) -> tuple[str, str]:
     return f"{prefix}/chunk_index", f"{prefix}/file_index"
-
-
-def _locate(row: dict[str, Any], prefix: str, template: str, **key: str) -> str:
-    chunk, file = _location_columns(prefix)
-    return template.format(chunk_index=row[chunk], file_index=row[file], **key)
 
 
 def raise_unfinished(path: Path, reason: str) -> NoReturn:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
 
 from rlco.errors import DataError, suggest
+from rlco.files import Fields, read_json, reading, shown
+from rlco.files.places import inside
 from rlco.lerobot_files.episodes import (
     episodes_v2,
     episodes_v3,
@@ -74,8 +75,8 @@ def read_folder(
     return LeRobotFolder(
         path=path,
         version=version,
-        fps=float(info["fps"]),
-        robot_type=info.get("robot_type"),
+        fps=info.number("fps", above=0),
+        robot_type=info.text("robot_type", None),
         features=_rename(path, features, rename or {}),
         renamed=dict(rename or {}),
         tasks=tasks_v2(path) if version == "v2.1" else tasks_v3(path),
@@ -98,54 +99,58 @@ def _nearby(path: Path) -> str:
     return ""
 
 
-def _read_info(path: Path) -> dict[str, Any]:
+def _read_info(path: Path) -> Fields:
     file = path / "meta" / "info.json"
     if not file.is_file():
         raise DataError(
             f"folder {str(path)!r} is not a LeRobot data set: it has no meta/info.json"
             f"{_nearby(path)}."
         )
-    try:
-        info = json.loads(file.read_text())
-    except ValueError as error:
-        raise DataError(f"file {str(file)!r} is not valid JSON ({error}).") from None
+    info = read_json(inside(path, file))
+    # Together: whoever writes such a file by hand learns of all at once.
     lacking = [
         key
         for key in ("codebase_version", "fps", "features")
-        if not isinstance(info, dict) or not info.get(key)
+        if not info.content.get(key)
     ]
     if lacking:
         raise DataError(f"file {str(file)!r} lacks {', '.join(lacking)}.")
-    return dict(info)
+    return info
 
 
-def _supported_version(path: Path, info: dict[str, Any]) -> str:
-    version = str(info["codebase_version"])
+def _supported_version(path: Path, info: Fields) -> str:
+    version = info.text("codebase_version")
     if version != "v2.1" and not version.startswith("v3."):
         raise DataError(
-            f"data set {str(path)!r} has LeRobot version {version!r}; v2.1 and v3 are "
-            "read, so convert it with LeRobot's own conversion scripts first."
+            f"data set {str(path)!r} has LeRobot version {shown(version)}; v2.1 and v3 "
+            "are read, so convert it with LeRobot's own conversion scripts first."
         )
     return version
 
 
-def _features(path: Path, info: dict[str, Any]) -> dict[str, Feature]:
+def _features(path: Path, info: Fields) -> dict[str, Feature]:
     features = {}
-    for name, entry in info["features"].items():
+    for name, entry in info.mapping("features").items():
         try:
-            shape = tuple(int(n) for n in entry["shape"])
-            feature = Feature(name, str(entry["dtype"]), shape)
-        except (KeyError, TypeError, ValueError):
+            fields = Fields(entry, f"feature {name!r}")
+            shape = tuple(map(_dimension, fields.sequence("shape")))
+            feature = Feature(name, fields.text("dtype"), shape)
+        except DataError:
             raise DataError(
                 f"feature {name!r} of data set {str(path)!r} has no proper dtype and "
-                f"shape in meta/info.json: {entry!r}."
+                f"shape in meta/info.json: {shown(entry)}."
             ) from None
-        names = tuple(_flat_names(entry.get("names")))
+        with reading(path / "meta" / "info.json"):  # names may be nested, not endlessly
+            names = tuple(_flat_names(entry.get("names")))
         # For images, the names are those of axes, not of dimensions.
         if len(names) == feature.size and not feature.is_camera:
             feature = replace(feature, names=names)
         features[name] = feature
     return features
+
+
+def _dimension(value: Any) -> int:
+    return Fields({"shape": value}, "feature").integer("shape", minimum=0)
 
 
 def _flat_names(names: Any) -> Iterable[str]:

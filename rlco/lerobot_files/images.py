@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ import numpy.typing as npt
 import PIL.Image
 
 from rlco.errors import DataError
+from rlco.files.places import inside
 from rlco.lerobot_files.columns import (
     episode_rows,
     read_columns,
@@ -21,6 +23,14 @@ from rlco.lerobot_files.columns import (
 from rlco.lerobot_files.schema import Episode, Feature, LeRobotFolder, VideoSpan
 
 Images = npt.NDArray[np.uint8]
+
+#: What is decoded: formats of images, of films, and how films are coded. The decoders
+#: of all others, some of them decades old, never see a byte of a data set.
+_IMAGES = ("PNG", "JPEG")
+_FILMS = "mov,mp4,m4a,3gp,3g2,mj2,matroska,webm,avi"
+_CODECS = ("h264", "hevc", "av1", "dav1d", "aom", "mpeg4", "vp8", "vp9", "vpx", "mjpeg")
+#: Twice an 8K film's. [pixels]
+_MOST_PIXELS = 2**26
 
 
 def iterate_images(folder: LeRobotFolder, name: str) -> Iterator[Images]:
@@ -55,17 +65,19 @@ def _iterate_png(folder: LeRobotFolder, feature: Feature) -> Iterator[Images]:
     for episode in folder.episodes:
         if episode.data_file != file:
             file = episode.data_file
-            table = read_stored_columns(file, [feature.stored_name])
+            table = read_stored_columns(
+                inside(folder.path, file), [feature.stored_name]
+            )
             column = table[feature.stored_name]
         rows = episode_rows(file, table, [episode])[episode.index]
         frames = [
-            _decode_png(episode, t, column[int(row)].as_py())
+            _decode_png(episode, t, feature, column[int(row)].as_py())
             for t, row in enumerate(rows)
         ]
         yield _stack(episode, frames)
 
 
-def _decode_png(episode: Episode, frame: int, cell: Any) -> Images:
+def _decode_png(episode: Episode, frame: int, feature: Feature, cell: Any) -> Images:
     content = cell.get("bytes") if isinstance(cell, dict) else None
     where = (
         f"the image of frame {frame} of episode {episode.index} in file "
@@ -74,10 +86,28 @@ def _decode_png(episode: Episode, frame: int, cell: Any) -> Images:
     if not isinstance(content, bytes):
         raise DataError(f"{where} is not in the file; embed the images in it.")
     try:
-        with PIL.Image.open(io.BytesIO(content)) as image:
+        with PIL.Image.open(io.BytesIO(content), formats=_IMAGES) as image:
+            _check_size(feature, image.size, where)
             return np.asarray(image.convert("RGB"))
-    except (OSError, SyntaxError) as error:
-        raise DataError(f"{where} is damaged ({error}); copy it again.") from None
+    except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError) as bad:
+        if isinstance(bad, DataError):
+            raise
+        raise DataError(f"{where} is damaged ({bad}); copy it again.") from None
+
+
+def _check_size(feature: Feature, size: tuple[int, int], where: str) -> None:
+    """Check width and height [pixels] before anything of that size is decoded."""
+    # Whether height or width is listed first differs from recorder to recorder.
+    if not Counter(size) <= Counter(feature.shape):
+        raise DataError(
+            f"{where} is {size[0]} pixels wide and {size[1]} high, but meta/info.json "
+            f"gives its shape as {list(feature.shape)}; copy the data set again."
+        )
+    if size[0] * size[1] > _MOST_PIXELS:
+        raise DataError(
+            f"{where} has {size[0] * size[1]} pixels, and at most {_MOST_PIXELS} are "
+            "read; scale the images down."
+        )
 
 
 def _iterate_video(folder: LeRobotFolder, feature: Feature) -> Iterator[Images]:
@@ -93,7 +123,8 @@ def _iterate_video(folder: LeRobotFolder, feature: Feature) -> Iterator[Images]:
         np.cumsum([episode.length for episode in folder.episodes])[:-1],
     )
     for episode, span, times in zip(folder.episodes, spans, timestamps, strict=True):
-        frames = _decode_video(span, span.start + times, 0.5 / folder.fps)
+        inside(folder.path, span.file)
+        frames = _decode_video(feature, span, span.start + times, 0.5 / folder.fps)
         if len(frames) < episode.length:
             raise DataError(
                 f"video file {str(span.file)!r} has no image for frame {len(frames)} "
@@ -104,13 +135,20 @@ def _iterate_video(folder: LeRobotFolder, feature: Feature) -> Iterator[Images]:
 
 
 def _decode_video(
-    span: VideoSpan, times: npt.NDArray[np.float64], tolerance: float
+    feature: Feature,
+    span: VideoSpan,
+    times: npt.NDArray[np.float64],
+    tolerance: float,
 ) -> list[Images]:
     """Return the frames at ``times`` [s], up to the first one not found."""
     frames: list[Images] = []
+    where = f"video file {str(span.file)!r}"
     try:
-        with av.open(str(span.file)) as container:
+        # A list of other files, which some formats are, is none of them.
+        with av.open(str(span.file), options={"format_whitelist": _FILMS}) as container:
             stream = container.streams.video[0]
+            _check_codec(stream, where)
+            _check_size(feature, (stream.width, stream.height), where)
             if stream.time_base is not None:
                 # Seek to the key frame at or before the first time, then skip.
                 container.seek(int(times[0] / stream.time_base), stream=stream)
@@ -121,12 +159,24 @@ def _decode_video(
                 if ahead > tolerance:
                     break
                 if ahead >= -tolerance:
+                    _check_size(feature, (frame.width, frame.height), where)
                     frames.append(frame.to_ndarray(format="rgb24").astype(np.uint8))
-    except (av.FFmpegError, IndexError) as error:
+    except (av.FFmpegError, IndexError, OverflowError) as error:
         raise DataError(
-            f"video file {str(span.file)!r} cannot be decoded ({error}); copy it again."
+            f"{where} cannot be decoded ({error}); copy it again."
         ) from None
     return frames
+
+
+def _check_codec(stream: av.VideoStream, where: str) -> None:
+    if stream.codec_context is None:
+        raise DataError(f"{where} cannot be decoded (no known codec); copy it again.")
+    name = stream.codec_context.name
+    if not name.removeprefix("lib").startswith(_CODECS):
+        raise DataError(
+            f"{where} is coded as {name!r}, and {', '.join(_CODECS)} are read; encode "
+            "it as one of them."
+        )
 
 
 def _stack(episode: Episode, frames: list[Images]) -> Images:

@@ -7,20 +7,22 @@ elsewhere.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from html import escape
 from pathlib import Path
-from typing import Any
+from typing import cast
 
 from PIL import Image
 
 from rlco.errors import RlcoError
+from rlco.files import Fields, read_json, reading
+from rlco.files.texts import read_text
 from rlco.reporting.html import data_address, definitions, figure, page
 from rlco.reporting.plot_style import READING, styles
 from rlco.reporting.result_tables import difference_table, percent, success_table
 from rlco.reporting.statistics import ResultRow, rate_interval
 from rlco.runs.metrics import read_metrics
+from rlco.runs.results_file import read_results
 from rlco.runs.whole_files import write_text
 
 _VIDEO_LIMIT = 4_000_000  # [byte]; a longer one is named, not embedded
@@ -43,7 +45,7 @@ def write_report(
         The file.
 
     Raises:
-        RlcoError: The folder is not a run directory.
+        RlcoError: The folder is not a run directory, or a file in it is damaged.
     """
     run_dir = Path(run_dir)
     if not (run_dir / "run.json").is_file():
@@ -51,12 +53,10 @@ def write_report(
             f"{str(run_dir)!r} is not a run directory: it has no run.json; give the "
             "folder that a recipe wrote."
         )
-    info = json.loads((run_dir / "run.json").read_text("utf-8"))
+    info = read_json(run_dir / "run.json", advice="give the folder of another run")
     results = run_dir / "results.json"
-    rows: list[ResultRow] = (
-        json.loads(results.read_text("utf-8"))["rows"] if results.is_file() else []
-    )
-    headline = title or _headline(rows) or f"A run of {info['recipe']}"
+    rows = cast(list[ResultRow], read_results(results) if results.is_file() else [])
+    headline = title or _headline(rows) or f"A run of {info.text('recipe')}"
     body = "\n".join(
         part
         for part in (
@@ -95,11 +95,13 @@ def _headline(rows: Sequence[ResultRow]) -> str:
     return f"{text}; {', '.join(reversed(others))}" if others else text
 
 
-def _header(info: dict[str, Any], headline: str, notes: Sequence[str]) -> str:
-    minutes, seconds = divmod(round(info["seconds"]), 60)
-    facts = f"{info['started']} · {minutes} min {seconds} s · {info['status']}"
+def _header(info: Fields, headline: str, notes: Sequence[str]) -> str:
+    minutes, seconds = divmod(round(info.number("seconds")), 60)
+    facts = (
+        f"{info.text('started')} · {minutes} min {seconds} s · {info.text('status')}"
+    )
     return (
-        f'<header>\n<p class="kicker">rlco · {escape(info["recipe"])}</p>\n'
+        f'<header>\n<p class="kicker">rlco · {escape(info.text("recipe"))}</p>\n'
         f'<h1>{escape(headline)}</h1>\n<p class="quiet">{escape(facts)}</p>\n'
         "</header>" + "".join(f"\n<p>{escape(note)}</p>" for note in notes)
     )
@@ -131,7 +133,7 @@ def _figures(run_dir: Path) -> str:
     known = list(READING)
     found = []
     for path in sorted((run_dir / "plots").glob("*.png")):
-        with Image.open(path) as image:
+        with reading(path, what="figure"), Image.open(path) as image:
             about = {key: str(value) for key, value in image.info.items()}
         title = about.get("Title") or path.stem.replace("_", " ").capitalize()
         place = known.index(title) if title in known else len(known)
@@ -158,23 +160,24 @@ def _videos(run_dir: Path) -> str:
     return "<h2>Videos</h2>\n" + "\n".join(parts) if parts else ""
 
 
-def _details(run_dir: Path, info: dict[str, Any]) -> str:
-    machine = info["machine"]
-    graphics = ", ".join(machine["gpus"]) or "no GPU"
+def _details(run_dir: Path, info: Fields) -> str:
+    machine, versions = info.group("machine"), info.mapping("versions", {})
+    graphics = ", ".join(map(str, machine.sequence("gpus"))) or "no GPU"
+    cores = machine.integer("cores")
     facts = {
-        "commit": info["commit"] or "unknown",
-        "machine": f"{machine['processor']}, {machine['cores']} cores, {graphics}",
-        "system": machine["system"],
-        "versions": ", ".join(f"{k} {v}" for k, v in info["versions"].items()),
-        "resumed": f"{len(info['resumed'])} times",
+        "commit": info.text("commit", "unknown"),
+        "machine": f"{machine.text('processor')}, {cores} cores, {graphics}",
+        "system": machine.text("system"),
+        "versions": ", ".join(f"{name} {one}" for name, one in versions.items()),
+        "resumed": f"{len(info.sequence('resumed'))} times",
     }
     parts = [
-        f"<h2>Make it again</h2>\n<pre>{escape(info['command'])}</pre>",
+        f"<h2>Make it again</h2>\n<pre>{escape(info.text('command'))}</pre>",
         definitions(facts.items()),
     ]
     config, metrics = run_dir / "config.yaml", run_dir / "metrics.csv"
     if config.is_file():
-        text = escape(config.read_text("utf-8"))
+        text = escape(read_text(config))
         parts.append(
             f"<details><summary>Configuration</summary><pre>{text}</pre></details>"
         )

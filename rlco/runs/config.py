@@ -8,6 +8,7 @@ and wrong input answer at once.
 
 from __future__ import annotations
 
+import re
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,7 +19,8 @@ import yaml
 from omegaconf import DictConfig, OmegaConf, SCMode
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
 
-from rlco.errors import ConfigError, UnknownNameError
+from rlco.errors import ConfigError, DataError, UnknownNameError
+from rlco.files import read_yaml, shown
 from rlco.runs.options import (
     AS_NOW,
     Option,
@@ -27,8 +29,12 @@ from rlco.runs.options import (
     unknown_option,
 )
 from rlco.runs.options import REQUIRED as REQUIRED
+from rlco.runs.options import distinct as distinct
+from rlco.runs.options import folder_name as folder_name
 from rlco.runs.options import option as option
 
+#: NumPy's generators take 32 bits.
+LAST_SEED = 2**32 - 1
 _HELP = ("help", "--help", "-h")
 
 
@@ -36,10 +42,16 @@ _HELP = ("help", "--help", "-h")
 class RunOptions:
     """The options that every recipe with a run directory shares; inherit from it."""
 
-    name: str = option("run", "name of the run, a part of its folder's name")
-    seed: int = option(0, "seed of every random number", minimum=0)
+    name: str = option(
+        "run", "name of the run, a part of its folder's name", check=folder_name
+    )
+    seed: int = option(0, "seed of every random number", minimum=0, maximum=LAST_SEED)
     threads: int = option(
-        1, "threads that torch may use on the CPU", minimum=1, may_change=True
+        1,
+        "threads that torch may use on the CPU",
+        minimum=1,
+        maximum=1024,
+        may_change=True,
     )
     out: str | None = option(
         None, "run directory; null: outputs/RECIPE/DATE_NAME_sSEED", may_change=True
@@ -157,7 +169,7 @@ def _command_line(
         key, equals, text = argument.partition("=")
         if not equals or not key or key.startswith("-"):
             hint = f"; write {argument.lstrip('-')}" if "=" in argument[1:] else ""
-            problems.append(f"argument {argument!r} is not key=value{hint}")
+            problems.append(f"argument {shown(argument)} is not key=value{hint}")
             continue
         if key in given:
             problems.append(f"option {key} is given twice")
@@ -167,7 +179,7 @@ def _command_line(
             try:
                 value = options[key].from_text(text)
             except yaml.YAMLError:
-                problems.append(f"option {key}: {text!r} is not a YAML value")
+                problems.append(f"option {key}: {shown(text)} is not a YAML value")
                 continue
         given[key] = _Setting(key, value)
     return given
@@ -194,8 +206,8 @@ def _base_settings(
             path = Path(given["resume"].value or "") / "config.yaml"
             if not path.is_file():
                 problems.append(
-                    f"resume={given['resume'].value!r} is not a run directory: it has "
-                    "no config.yaml; give the folder of an earlier run"
+                    f"resume={shown(given['resume'].value)} is not a run directory: it "
+                    "has no config.yaml; give the folder of an earlier run"
                 )
                 return None
         elif "config" in given:
@@ -236,11 +248,9 @@ def _read_yaml(
     path: Path, options: Mapping[str, Option], problems: list[str]
 ) -> list[_Setting] | None:
     try:
-        content = OmegaConf.to_container(OmegaConf.load(path), resolve=False)
-    except (yaml.YAMLError, OSError, UnicodeDecodeError, ValueError) as error:
-        problems.append(
-            f"{path} cannot be read as YAML: {' '.join(str(error).split())}"
-        )
+        content = read_yaml(path, advice="give a YAML file of options")
+    except DataError as error:
+        problems.append(str(error).rstrip("."))
         return None
     if not isinstance(content, dict):
         problems.append(f"{path} must hold key: value lines")
@@ -283,17 +293,38 @@ def _apply(
         if key not in options:
             problems.append(setting.problem(unknown_option(key, options)))
             continue
-        complaint = options[key].complaint(setting.value)
+        complaint = options[key].complaint(setting.value) or _outside(setting.value)
         if complaint is None:
             try:
                 OmegaConf.update(config, key, setting.value)
                 complaint = options[key].out_of_range(OmegaConf.select(config, key))
             except InterpolationResolutionError:
-                complaint = f"{setting.value!r} refers to an option that is not set"
+                complaint = (
+                    f"{shown(setting.value)} refers to an option that is not set"
+                )
             except OmegaConfBaseException:
-                complaint = f"{setting.value!r} is not of type {options[key].type_name}"
+                complaint = (
+                    f"{shown(setting.value)} is not of type {options[key].type_name}"
+                )
         if complaint is not None:
             problems.append(setting.problem(f"option {key}: {complaint}"))
+
+
+def _outside(value: Any) -> str | None:
+    """Say where a value asks for what lies outside of the options, such as a secret.
+
+    ``${lr}`` is another option; ``${oc.env:KEY}`` would be written to config.yaml.
+    """
+    if isinstance(value, Mapping):
+        return next(filter(None, map(_outside, value.values())), None)
+    if isinstance(value, list | tuple):
+        return next(filter(None, map(_outside, value)), None)
+    if isinstance(value, str) and re.search(r"\$\{.*:", value, re.DOTALL):
+        return (
+            f"{shown(value)} asks for more than another option, and nothing else is "
+            "filled in; write the value itself"
+        )
+    return None
 
 
 def _check_unchanged(
@@ -309,6 +340,6 @@ def _check_unchanged(
         before, now = OmegaConf.select(saved, key), OmegaConf.select(config, key)
         if before != now:
             problems.append(
-                f"option {key} cannot change on resume: the run has {before!r}, "
-                f"given was {now!r}"
+                f"option {key} cannot change on resume: the run has {shown(before)}, "
+                f"given was {shown(now)}"
             )

@@ -5,6 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from rlco.errors import ConfigError
+from rlco.files import shown
+
+#: Of an index; a data set has fewer than ten million episodes.
+_DIGITS = 7
 
 
 def index_list(text: str, option: str = "episodes") -> list[int] | None:
@@ -28,10 +32,11 @@ def index_list(text: str, option: str = "episodes") -> list[int] | None:
     for part in bare.split(","):
         first, dash, last = part.partition("-")
         ends = (first, last if dash else first)
-        if not all(end.isdecimal() for end in ends) or int(ends[0]) > int(ends[1]):
+        numbers = all(end.isdecimal() and len(end) <= _DIGITS for end in ends)
+        if not numbers or int(ends[0]) > int(ends[1]):
             raise ConfigError(
                 [
-                    f"{option}={text} is not a list of indices; write ranges with "
+                    f"{option}={shown(text)} is no list of indices; write ranges with "
                     f"their last index, such as {option}=0-19,25"
                 ]
             )

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import hashlib
 import io
 import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+from rlco.errors import RlcoError
+from rlco.files import reading
 
 
 class MetricsFile:
@@ -89,18 +93,26 @@ class MetricsFile:
             with self.path.open("rb") as file:
                 os.fsync(file.fileno())
 
+    def digest(self) -> str:
+        """Return the SHA-256 of the file as it is, of nothing where there is none."""
+        content = self.path.read_bytes() if self.path.exists() else b""
+        return hashlib.sha256(content).hexdigest()
+
     def _restore(self, keep_to: int | None) -> None:
-        text = self.path.read_bytes().decode("utf-8")
-        whole = text[: text.rfind("\n") + 1]  # a killed writer may cut its last row
-        reader = csv.DictReader(io.StringIO(whole, newline=""))
-        for row in reader:
-            if keep_to is not None and int(row["step"]) <= keep_to:
-                self._rows.append({k: v for k, v in row.items() if v})
-        self._columns = [
-            name
-            for name in reader.fieldnames or []
-            if any(name in row for row in self._rows)
-        ]
+        advice = "put the table of this run back, or start a new run"
+        with reading(self.path, csv.Error, advice=advice, error=RlcoError):
+            text = self.path.read_bytes().decode("utf-8")
+            whole = text[: text.rfind("\n") + 1]  # a killed writer may cut its last row
+            reader = csv.DictReader(io.StringIO(whole, newline=""), strict=True)
+            for row in reader:
+                if keep_to is not None and int(row["step"]) <= keep_to:
+                    self._rows.append({k: v for k, v in row.items() if v})
+            self.rows()  # whether all of them are numbers
+            self._columns = [
+                name
+                for name in reader.fieldnames or []
+                if any(name in row for row in self._rows)
+            ]
         self._rewrite()
 
     def _rewrite(self) -> None:
@@ -114,7 +126,10 @@ class MetricsFile:
 
 def read_metrics(path: Path) -> list[dict[str, float]]:
     """Read a metrics file without changing it; empty cells are left out."""
-    with path.open(encoding="utf-8", newline="") as file:
+    with (
+        reading(path, csv.Error),
+        path.open(encoding="utf-8", newline="") as file,
+    ):
         return [
             {name: float(cell) for name, cell in row.items() if cell}
             for row in csv.DictReader(file)

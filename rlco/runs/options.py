@@ -8,7 +8,7 @@ import shutil
 import sys
 import textwrap
 import types
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING as NO_DEFAULT
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,9 +17,11 @@ from typing import Any, Literal, Union, cast, get_args, get_origin, get_type_hin
 from omegaconf import MISSING, OmegaConf
 
 from rlco.errors import ConfigError, suggest
+from rlco.files import shown
 
 #: The default of an option that somebody must give.
 REQUIRED: str = MISSING
+_LONGEST_NAME = 100
 #: Where an earlier run's value of an option is the default of today.
 AS_NOW: Any = object()
 
@@ -36,7 +38,7 @@ def rename_map(text: str) -> dict[str, str]:
     """
     pairs = [pair.rpartition(":") for pair in text.split(",") if pair]
     if not all(theirs and ours for theirs, _, ours in pairs):
-        raise ConfigError([f"rename={text!r} is not THEIRS:OURS,THEIRS:OURS"])
+        raise ConfigError([f"rename={shown(text)} is not THEIRS:OURS,THEIRS:OURS"])
     return {theirs: ours for theirs, _, ours in pairs}
 
 
@@ -56,8 +58,40 @@ def scale_map(text: str) -> dict[str, float]:
     except ValueError:
         found = {"": 0.0}
     if "" in found:
-        raise ConfigError([f"scale={text!r} is not THEIRS:NUMBER,THEIRS:NUMBER"])
+        raise ConfigError([f"scale={shown(text)} is not THEIRS:NUMBER,THEIRS:NUMBER"])
     return found
+
+
+def folder_name(text: str) -> str | None:
+    """Say why a text cannot be a part of a folder's name; None where it can.
+
+    Example:
+        >>> folder_name("rl_co beta=0.2"), folder_name("../../x")
+        (None, "'../../x' is to be a part of a folder's name: at most 100 letters, \
+digits and marks, no /")
+    """
+    if 0 < len(text) <= _LONGEST_NAME and text.isprintable() and "/" not in text:
+        return None
+    return (
+        f"{shown(text)} is to be a part of a folder's name: at most {_LONGEST_NAME} "
+        "letters, digits and marks, no /"
+    )
+
+
+def distinct(values: Any) -> str | None:
+    """Say why a list is none of distinct values, at least one; None where it is.
+
+    Example:
+        >>> distinct(["sft"]), distinct([]), distinct(["sft", "sft"])
+        (None, '[] is empty; give one or more', "['sft', 'sft'] has one of them twice")
+    """
+    if isinstance(values, str):
+        return None  # a list as text, which its type refuses or reads
+    if not values:
+        return "[] is empty; give one or more"
+    if len(set(values)) < len(values):
+        return f"{shown(list(values))} has one of them twice"
+    return None
 
 
 def option(
@@ -69,6 +103,8 @@ def option(
     infinite: bool = False,
     may_change: bool = False,
     earlier: Any = AS_NOW,
+    input: bool = False,
+    check: Callable[[Any], str | None] | None = None,
 ) -> Any:
     """Declare one option as a dataclass field.
 
@@ -82,6 +118,9 @@ def option(
         may_change: Whether a resumed run may have another value.
         earlier: Its value where a run is resumed that was started before the option
             existed; where none is given, the default.
+        input: Whether it names files that a run reads: a resumed run must find them as
+            they were.
+        check: Says what is wrong with a value, None where nothing is.
 
     Example:
         >>> @dataclass
@@ -97,6 +136,8 @@ def option(
         "infinite": infinite,
         "may_change": may_change,
         "earlier": earlier,
+        "input": input,
+        "check": check,
     }
     if isinstance(default, list | dict):
         return field(default_factory=default.copy, metadata=metadata)
@@ -116,6 +157,8 @@ class Option:
     infinite: bool = False
     may_change: bool = False
     earlier: Any = AS_NOW
+    input: bool = False
+    check: Callable[[Any], str | None] | None = None
 
     @property
     def type_name(self) -> str:
@@ -163,16 +206,22 @@ class Option:
         if choices and value not in choices and value is not None:
             allowed = ", ".join(repr(choice) for choice in choices)
             near = suggest(str(value), [str(choice) for choice in choices])
-            return f"{value!r} is not one of {allowed}{near}"
+            return f"{shown(value)} is not one of {allowed}{near}"
         # OmegaConf takes any number for a flag; 2 is more likely a mistake.
         if bool in _members(self.hint) and isinstance(value, int | float):
-            return None if isinstance(value, bool) else f"{value!r} is not of type bool"
+            return (
+                None
+                if isinstance(value, bool)
+                else f"{shown(value)} is not of type bool"
+            )
         return None
 
     def out_of_range(self, value: Any) -> str | None:
-        """Say which limit a number, or a number in a list, breaks."""
+        """Say which limit a value, or a number in a list, breaks."""
         if isinstance(value, bool) or value is None:
             return None
+        if self.check is not None and (complaint := self.check(value)):
+            return complaint
         if isinstance(value, Iterable) and not isinstance(value, str):
             found = (self.out_of_range(item) for item in value)
             return next((text for text in found if text), None)
@@ -181,11 +230,11 @@ class Option:
         if math.isnan(value):
             return "nan is not a number"
         if math.isinf(value) and not self.infinite:
-            return f"{value!r} is not a finite number"
+            return f"{shown(value)} is not a finite number"
         if self.minimum is not None and value < self.minimum:
-            return f"{value!r} is below the least allowed, {self.minimum!r}"
+            return f"{shown(value)} is below the least allowed, {self.minimum!r}"
         if self.maximum is not None and value > self.maximum:
-            return f"{value!r} is above the greatest allowed, {self.maximum!r}"
+            return f"{shown(value)} is above the greatest allowed, {self.maximum!r}"
         return None
 
 
@@ -224,7 +273,7 @@ def unknown_option(key: str, options: Mapping[str, Option]) -> str:
     inner = [name for name in options if name.rpartition(".")[2] == key]
     if inner and not near:
         near = f" (did you mean {inner[0]!r}?)"
-    return f"unknown option {key!r}{near}; 'help' lists them all"
+    return f"unknown option {shown(key)}{near}; 'help' lists them all"
 
 
 def help_table(config_class: type, recipe_path: Path, configs: Iterable[str]) -> str:

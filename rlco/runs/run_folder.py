@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import errno
 import fcntl
-import json
 import os
 import platform
 import shlex
+import shutil
 import subprocess
 import sys
 import time
+from collections.abc import Mapping
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 from rlco.errors import OutputExistsError, RlcoError
+from rlco.files import Fields, read_json, shown
 from rlco.runs.options import started_by_rlco
+from rlco.runs.whole_files import write_text
 
 #: The libraries whose versions decide what a run computes.
 LIBRARIES = (
@@ -30,8 +34,25 @@ LIBRARIES = (
 )
 
 
-def create(out: str | None, name: str, seed: int, recipe: str, root: Path) -> Path:
+def create(
+    out: str | None,
+    name: str,
+    seed: int,
+    recipe: str,
+    root: Path,
+    files: Mapping[str, str],
+) -> Path:
     """Make a new run directory: ``out``, or ``root/recipe/<date_time>_<name>_s<seed>``.
+
+    It is there with its first files or not at all, also where the process is killed.
+
+    Args:
+        out: The directory, or None.
+        name: Of the run.
+        seed: Of the run.
+        recipe: Of the run.
+        root: Where directories with a date are made.
+        files: Texts of its first files, by name.
 
     Raises:
         OutputExistsError: ``out`` exists.
@@ -42,19 +63,34 @@ def create(out: str | None, name: str, seed: int, recipe: str, root: Path) -> Pa
         path = Path(out) if out else root / recipe / f"{stamp}_{name}_s{seed}"
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # One call decides whether it was there: two runs cannot both get it.
-            path.mkdir()
+            if not os.path.lexists(path) and _put_whole(path, files):
+                return path
         except OSError as error:
-            if path.exists():
-                if out:
-                    raise OutputExistsError(out, resumable=True) from error
-                time.sleep(0.1)  # another run began within this second
-                continue
             raise RlcoError(
-                f"run directory {str(path)!r} cannot be made "
+                f"run directory {shown(str(path))} cannot be made "
                 f"({error.strerror}); give another out=DIR."
             ) from error
-        return path
+        if out:
+            raise OutputExistsError(out, resumable=True)
+        time.sleep(0.1)  # another run began within this second
+
+
+def _put_whole(path: Path, files: Mapping[str, str]) -> bool:
+    """Make a folder with files in it; return False where another one was first."""
+    part = path.with_name(f".{path.name}.{os.getpid()}.part")
+    shutil.rmtree(part, ignore_errors=True)
+    part.mkdir()
+    try:
+        for name, text in files.items():
+            write_text(part / name, text)
+        # One call decides whether it was there: two runs cannot both get it.
+        part.rename(path)
+    except OSError as error:
+        shutil.rmtree(part, ignore_errors=True)
+        if error.errno in (errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR):
+            return False
+        raise
+    return True
 
 
 def lock(path: Path) -> int:
@@ -75,20 +111,20 @@ def lock(path: Path) -> int:
     return descriptor
 
 
-def read_info(path: Path, recipe: str) -> dict[str, Any]:
+def read_info(path: Path, recipe: str) -> Fields:
     """Read the run.json of a run that is to be resumed.
 
     Raises:
         RlcoError: It is missing, damaged, or of another recipe.
     """
-    try:
-        info: dict[str, Any] = json.loads((path / "run.json").read_text("utf-8"))
-        made_by = info["recipe"]
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise RlcoError(
-            f"{str(path / 'run.json')!r} cannot be read ({error}); give the folder of "
-            "an earlier run as resume=DIR."
-        ) from error
+    info = read_json(
+        path / "run.json",
+        advice="give the folder of an earlier run as resume=DIR",
+        error=RlcoError,
+    )
+    made_by = info.text("recipe")
+    info.sequence("resumed")
+    info.number("seconds")
     if made_by != recipe:
         raise RlcoError(
             f"run directory {str(path)!r} is of recipe {made_by!r}, not {recipe!r}; "

@@ -10,7 +10,9 @@ from __future__ import annotations
 import json
 import os
 import random
+import re
 from collections.abc import Mapping
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +23,13 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from rlco.errors import CheckpointError
+from rlco.files import reading
+from rlco.files.checksums import KEY, UNKNOWN, seal, verify
+from rlco.runs.whole_files import put_in_place
 
 _FORMAT = "rlco-state-1"
+_TAGS = ("dict", "list", "tuple", "tensor", "array", "scalar")
+_METADATA = {"format", "structure", KEY}
 
 
 def save_state(path: str | Path, state: Any) -> None:
@@ -46,37 +53,64 @@ def save_state(path: str | Path, state: Any) -> None:
     path = Path(path)
     tensors: dict[str, Tensor] = {}
     structure = json.dumps(_encode(state, tensors, "state"))
+    save_tensors(path, tensors, {"format": _FORMAT, "structure": structure})
+
+
+def save_tensors(
+    path: Path, tensors: Mapping[str, Tensor], metadata: Mapping[str, str]
+) -> None:
+    """Write a safetensors file with a checksum, whole or not at all.
+
+    Args:
+        path: The file; an existing one is replaced.
+        tensors: On the CPU, contiguous, none in another's memory.
+        metadata: Texts in its header.
+    """
     part = path.with_name(f".{path.name}.part")
-    save_file(tensors, part, metadata={"format": _FORMAT, "structure": structure})
-    with part.open("rb") as file:
-        os.fsync(file.fileno())
-    part.replace(path)
+    part.touch()  # what the system says of it, safetensors does not pass on
+    try:
+        save_file(dict(tensors), part, metadata={**metadata, KEY: UNKNOWN})
+    except SafetensorError as error:
+        number = re.search(r"os error (\d+)", str(error))
+        if number is None:
+            raise
+        code = int(number[1])
+        raise OSError(code, os.strerror(code), str(part)) from error
+    seal(part)
+    put_in_place(part, path)
 
 
 def load_state(path: str | Path) -> Any:
     """Read what :func:`save_state` wrote, with equal types and values, on the CPU.
 
     Raises:
-        CheckpointError: The file is missing, cut off or of another kind.
+        CheckpointError: The file is missing, cut off, of another kind, or not what was
+            written: its checksum differs.
     """
     if not Path(path).is_file():
         raise CheckpointError(f"checkpoint {str(path)!r} does not exist.")
-    try:
-        with safe_open(path, framework="pt") as file:
-            metadata = file.metadata() or {}
-            names = file.keys()
-            tensors = {name: file.get_tensor(name) for name in names}
-    except SafetensorError as error:
-        raise CheckpointError(
-            f"checkpoint {str(path)!r} is damaged or no safetensors file ({error}); "
-            "give one that rlco wrote."
-        ) from error
-    if metadata.get("format") != _FORMAT:
+    verify(Path(path))
+    with _reading(path), safe_open(path, framework="pt") as file:
+        metadata = file.metadata() or {}
+        names = file.keys()
+        tensors = {name: file.get_tensor(name) for name in names}
+    if metadata.get("format") != _FORMAT or not set(metadata) <= _METADATA:
         raise CheckpointError(
             f"checkpoint {str(path)!r} was not written by this version of rlco "
             f"(format {metadata.get('format')!r}, expected {_FORMAT!r})."
         )
-    return _decode(json.loads(metadata["structure"]), tensors)
+    with _reading(path):
+        return _decode(json.loads(metadata["structure"]), tensors)
+
+
+def _reading(path: str | Path) -> AbstractContextManager[None]:
+    return reading(
+        path,
+        SafetensorError,
+        what="checkpoint",
+        advice="give one that rlco wrote",
+        error=CheckpointError,
+    )
 
 
 def rng_state() -> dict[str, Any]:
@@ -152,6 +186,8 @@ def _decode(value: Any, tensors: Mapping[str, Tensor]) -> Any:
     if not isinstance(value, list):
         return value
     tag, content = value
+    if tag not in _TAGS:
+        raise ValueError(f"unknown tag {tag!r}")
     if tag == "dict":
         return {key: _decode(item, tensors) for key, item in content}
     if tag in ("list", "tuple"):

@@ -107,7 +107,9 @@ class PolicyOptions(KindOptions, AugmentOptions):
         64, "side of the images that it reads [pixels]", minimum=64, maximum=224
     )
     image_weights: str | None = option(
-        None, "mobilenet: file of torchvision's weights, mobilenet_v2-b0353104.pth"
+        None,
+        "mobilenet: file of torchvision's weights, mobilenet_v2-b0353104.pth",
+        input=True,
     )
     image_frozen: bool = option(True, "mobilenet: leave its weights as they are")
     use_environment_state: bool = option(

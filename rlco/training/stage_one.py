@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rlco.errors import ConfigError
-from rlco.runs.config import option
+from rlco.runs.config import folder_name, option
 from rlco.runs.indices import format_indices, index_list
 from rlco.runs.options import rename_map
 from rlco.training import policy_options
@@ -42,13 +42,19 @@ type AnyTask = Task | RobosuiteTask | RecordedTask
 class StageOneOptions(PolicyOptions):
     """Options of Stage I."""
 
-    name: str = option("sft", "name of the run, a part of its folder's name")
+    name: str = option(
+        "sft", "name of the run, a part of its folder's name", check=folder_name
+    )
     task: str | None = option(
         "push_cube",
         "name of the task; null: a robot that no simulator has, sizes from the data",
     )
-    sim_demos: str | None = option(None, "LeRobot folder of simulated demonstrations")
-    real_demos: str | None = option(None, "LeRobot folder of real demonstrations")
+    sim_demos: str | None = option(
+        None, "LeRobot folder of simulated demonstrations", input=True
+    )
+    real_demos: str | None = option(
+        None, "LeRobot folder of real demonstrations", input=True
+    )
     episodes: str = option(
         "", "episodes of real_demos that are trained on, 0-19,25; empty: all"
     )
@@ -62,7 +68,9 @@ class StageOneOptions(PolicyOptions):
         None, "camera of these and of heldout_demos that is read; null: its only one"
     )
     heldout_demos: str | None = option(
-        None, "LeRobot folder of real demonstrations to measure imitation on"
+        None,
+        "LeRobot folder of real demonstrations to measure imitation on",
+        input=True,
     )
     heldout_episodes: str = option("", "episodes of heldout_demos; empty: all")
     sim_ratio: float | None = option(
@@ -72,8 +80,10 @@ class StageOneOptions(PolicyOptions):
         minimum=0,
         maximum=1,
     )
-    chunk: int = option(4, "control steps of an action chunk", minimum=1)
-    hidden: list[int] = option([256, 256], "width of each hidden layer", minimum=1)
+    chunk: int = option(4, "control steps of an action chunk", minimum=1, maximum=1000)
+    hidden: list[int] = option(
+        [256, 256], "width of each hidden layer", minimum=1, maximum=16384
+    )
     updates: int = option(1500, "optimiser steps", minimum=1)
     log_every: int = option(100, "updates between rows of metrics.csv", minimum=1)
     batch_size: int = option(256, "rows of a batch, both kinds together", minimum=1)
@@ -92,9 +102,10 @@ class StageOneOptions(PolicyOptions):
     eval_domains: list[str] = option(
         ["sim", "stand_in"],
         "domains to evaluate in: names, MODULE:NAME, or paths of effects.yaml files",
+        input=True,
     )
     effects_code: str | None = option(
-        None, "Python file that registers effects of your own"
+        None, "Python file that registers effects of your own", input=True
     )
 
     @property

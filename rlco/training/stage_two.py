@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol
 
 from rlco import keys
 from rlco.errors import ConfigError
-from rlco.runs.config import REQUIRED, option
+from rlco.runs.config import REQUIRED, folder_name, option
 from rlco.runs.indices import index_list
 from rlco.training.policy_options import (
     LARGEST_LR,
@@ -36,10 +36,16 @@ log = logging.getLogger("rlco.training")
 class StageTwoOptions(AugmentOptions):
     """Options of Stage II."""
 
-    name: str = option("rl_co", "name of the run, a part of its folder's name")
-    policy: str = option(REQUIRED, "folder of the policy that Stage I saved")
+    name: str = option(
+        "rl_co", "name of the run, a part of its folder's name", check=folder_name
+    )
+    policy: str = option(
+        REQUIRED, "folder of the policy that Stage I saved", input=True
+    )
     task: str = option("push_cube", "name of the task")
-    real_demos: str | None = option(None, "LeRobot folder of real demonstrations")
+    real_demos: str | None = option(
+        None, "LeRobot folder of real demonstrations", input=True
+    )
     episodes: str = option(
         "", "episodes of real_demos that are trained on, 0-19,25; empty: all"
     )
@@ -50,7 +56,9 @@ class StageTwoOptions(AugmentOptions):
         None, "camera of these and of heldout_demos that is read; null: its only one"
     )
     heldout_demos: str | None = option(
-        None, "LeRobot folder of real demonstrations to measure forgetting on"
+        None,
+        "LeRobot folder of real demonstrations to measure forgetting on",
+        input=True,
     )
     heldout_episodes: str = option("", "episodes of heldout_demos; empty: all")
     real_coeff: float = option(0.2, "beta, weight of the real anchor", minimum=0)
@@ -106,7 +114,10 @@ class StageTwoOptions(AugmentOptions):
         "network", "gae: of its own, or a head on a token policy's state"
     )
     critic_hidden: list[int] = option(
-        [256, 256], "gae: width of each hidden layer of the critic", minimum=1
+        [256, 256],
+        "gae: width of each hidden layer of the critic",
+        minimum=1,
+        maximum=16384,
     )
     time_left: bool = option(
         True,
@@ -138,15 +149,18 @@ class StageTwoOptions(AugmentOptions):
     eval_domains: list[str] = option(
         ["sim", "stand_in"],
         "domains to evaluate in: names, MODULE:NAME, or paths of effects.yaml files",
+        input=True,
     )
     final_domains: list[str] = option(
-        [], "further ones for the last evaluation alone, such as locked"
+        [], "further ones for the last evaluation alone, such as locked", input=True
     )
     train_domain: str = option(
-        "sim", "domain to train in: a name, MODULE:NAME, or the path of an effects.yaml"
+        "sim",
+        "domain to train in: a name, MODULE:NAME, or the path of an effects.yaml",
+        input=True,
     )
     effects_code: str | None = option(
-        None, "Python file that registers effects of your own"
+        None, "Python file that registers effects of your own", input=True
     )
 
     @property

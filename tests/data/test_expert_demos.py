@@ -31,6 +31,21 @@ def test_a_recording_that_was_cut_off_is_made_anew(tmp_path: Path) -> None:
     assert demos.meta.robot_type == "panda_sim"
 
 
+def test_effects_that_cannot_be_are_told_before_a_folder_is_made(
+    tmp_path: Path,
+) -> None:
+    effects = tmp_path / "effects.yaml"
+    effects.write_text(
+        "effects:\n- {name: armature, target: joint1, parameters: {armature: -1.0e6}}\n"
+    )
+    path = tmp_path / "demos"
+    with pytest.raises(RlcoError, match=r"armature=-1e.06 would leave"):
+        record_demonstrations(
+            path, "push_cube", "sim", episodes=1, seed=0, effects=effects
+        )
+    assert not path.exists()
+
+
 def test_a_whole_recording_is_left_as_it_is(tmp_path: Path) -> None:
     there = tmp_path / "demos"
     there.mkdir()

@@ -146,7 +146,7 @@ def test_lerobots_environment_takes_a_path_and_own_effects(
     joint = stepper.model.joint("robot0_joint4").id
     assert stepper.model.jnt_stiffness[joint] == 20.0
     copies.close()
-    with pytest.raises(RlcoError, match="cannot be read"):
+    with pytest.raises(RlcoError, match="is missing"):
         RlcoEnv(domain="nowhere.yaml")
 
 

@@ -177,7 +177,9 @@ def test_effects_are_refused_where_robosuite_steps_in_one_piece() -> None:
         ([SERVO_ONLY["joint_compliance"]], "its actuator is a motor"),
         ({"viscous_damping": 1.0}, "give the path of an effects.yaml, or a list"),
         (["viscous_damping"], "give the path of an effects.yaml, or a list"),
-        ("no/effects.yaml", "'no/effects.yaml' cannot be read"),
+        ("no/effects.yaml", "'no/effects.yaml' is missing"),
+        ([effect("armature", "joint1", armature=-1e6)], "model with -999995, less"),
+        ([effect("viscous_damping", "joint1", damping=-99.0)], "less than none"),
     ],
 )
 @pytest.mark.parametrize("backend", ["native", "robosuite"])

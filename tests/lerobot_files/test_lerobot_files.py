@@ -220,7 +220,7 @@ def mark_unfinished(root: Path) -> None:
     [
         (shutil.rmtree, "does not exist; give the folder that holds meta/info.json"),
         (drop_info, "is not a LeRobot data set: it has no meta/info.json"),
-        (break_json, "info.json' is not valid JSON"),
+        (break_json, "info.json' is truncated or damaged"),
         (drop_fps, "info.json' lacks fps"),
         (drop_shape, "feature 'action' of data set .* has no proper dtype and shape"),
         (make_v20, "LeRobot version 'v2.0'; v2.1 and v3 are read"),

@@ -31,6 +31,22 @@ Capture = pytest.CaptureFixture[str]
         ("record_demos", "episods=3", ["'episods'", "did you mean 'episodes'"]),
         ("sft", "sim_ration=0.5", ["'sim_ration'", "did you mean 'sim_ratio'"]),
         ("sft", "sim_ratio=2", ["sim_ratio", "1"]),
+        ("sft", "lr=-1", ["lr", "below the least"]),
+        ("sft", "lr=inf", ["lr", "not a finite number"]),
+        ("rl_co", "clip=inf", ["clip", "not a finite number"]),
+        ("rl_co", "max_grad_norm=-1", ["max_grad_norm", "below the least"]),
+        ("sft", f"seed={2**70}", ["seed", "4294967295"]),
+        ("record_demos", f"seed={2**70}", ["seed", "4294967295"]),
+        ("sft", "threads=100000", ["threads", "1024"]),
+        ("sft", "chunk=100000", ["chunk", "1000"]),
+        ("sft", "hidden=[100000000]", ["hidden", "16384"]),
+        ("rl_co", "critic_hidden=[100000000]", ["critic_hidden", "16384"]),
+        ("sft", "name=../../..", ["name", "a part of a folder's name"]),
+        ("quickstart", f"name={'x' * 300}", ["name", "at most 100"]),
+        ("quickstart", "methods=[]", ["methods", "is empty"]),
+        ("quickstart", "methods=[sft,sft]", ["methods", "twice"]),
+        ("record_demos", "task=:x", ["cannot import ''"]),
+        ("record_demos", "task=no.module:x", ["cannot import 'no.module'"]),
         ("sft", "lr=4e37", ["lr", "4e+37", "1e+37"]),
         ("rl_co", "critic_lr=4e37", ["critic_lr", "4e+37", "1e+37"]),
         ("rl_co", "real_coef=1", ["'real_coef'", "did you mean 'real_coeff'"]),
@@ -50,6 +66,62 @@ def test_an_unknown_option_or_name(
     for word in words:
         assert word in line
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("code", "said"),
+    [
+        ("1 / 0", "ZeroDivisionError (division by zero) in line 1"),
+        ("x = (", "SyntaxError ('(' was never closed) in line 1"),
+        ("import sys\nsys.exit(3)", "SystemExit (3) in line 2"),
+        ("import no_such_module", "ModuleNotFoundError (No module named 'no_such_"),
+    ],
+)
+def test_a_module_of_ones_own_that_cannot_be_imported(
+    capsys: Capture,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    code: str,
+    said: str,
+) -> None:
+    name = f"own_{abs(hash(code))}"
+    (tmp_path / f"{name}.py").write_text(code)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    out = tmp_path / "out"
+    for argument in (f"task={name}:TASK", f"effects_code={tmp_path / name}.py"):
+        line = refused(capsys, "record_demos", argument, f"out={out}")
+        assert said in line
+        assert f"{name}.py" in line
+    assert not out.exists()
+
+
+def test_no_file_and_no_folder_is_no_log(capsys: Capture, tmp_path: Path) -> None:
+    (tmp_path / "arm.xml").write_text(
+        "<mujoco><worldbody><body><joint name='j'/><geom size='1'/></body></worldbody>"
+        "</mujoco>"
+    )
+    given = [f"model={tmp_path / 'arm.xml'}", "data=/dev/null"]
+    line = refused(capsys, "find_gap", *given, f"out={tmp_path / 'out'}")
+    assert "'/dev/null' is no file and no folder" in line
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("recipe", ["record_demos", "compare", "align"])
+@pytest.mark.parametrize("place", ["file/out", "x" * 300])
+def test_a_place_where_no_folder_can_be(
+    capsys: Capture, tmp_path: Path, recipe: str, place: str
+) -> None:
+    (tmp_path / "file").write_text("mine")
+    (tmp_path / "two.yaml").write_text(
+        "jobs: {one: {recipe: sft, out: run, options: {}}}\ntable: {}\n"
+    )
+    more = {
+        "record_demos": ["episodes=1"],
+        "compare": [f"experiment={tmp_path / 'two.yaml'}"],
+        "align": ["sim_demos=a", "real_demos=b"],
+    }[recipe]
+    refused(capsys, recipe, *more, f"out={tmp_path / place}")
+    assert (tmp_path / "file").read_text() == "mine"
 
 
 @pytest.mark.slow
@@ -213,9 +285,9 @@ def cut_off(policy: Path) -> None:
     [
         (other_architecture, ["is of another architecture", "has shape"]),
         (other_task, ["did you mean 'gaussian'"]),
-        (not_a_policy, ["cannot read", "give the folder of a saved policy"]),
-        (cut_off, ["cannot read the weights"]),
-        (shutil.rmtree, ["cannot read", "give the folder of a saved policy"]),
+        (not_a_policy, ["policy.json", "give the folder of a saved policy"]),
+        (cut_off, ["file of weights", "damaged"]),
+        (shutil.rmtree, ["is missing", "give the folder of a saved policy"]),
     ],
 )
 def test_a_checkpoint_that_does_not_fit(

@@ -104,7 +104,7 @@ def test_headline_and_table_hold_the_numbers(run_dir: Path) -> None:
 
 
 def test_several_seeds_are_a_mean_with_its_interval(run_dir: Path) -> None:
-    with Run(RunOptions(resume=str(run_dir)), "quickstart") as run:
+    with Run(RunOptions(name="<first>", resume=str(run_dir)), "quickstart") as run:
         run.save_results([row("sft", "sim", k, s) for s, k in enumerate((14, 16, 18))])
     text = read(write_report(run_dir)).text
     # 0.7, 0.8, 0.9: mean 0.8, t interval [0.552, 1.048], shown up to 100 %
@@ -129,7 +129,7 @@ def solved(count: int) -> list[int]:
 
 
 def test_ever_and_lost_again_stand_beside_success_at_the_end(run_dir: Path) -> None:
-    with Run(RunOptions(resume=str(run_dir)), "quickstart") as run:
+    with Run(RunOptions(name="<first>", resume=str(run_dir)), "quickstart") as run:
         run.save_results([counted("sft", solved(8), solved(12), 0)])
     text = read(write_report(run_dir)).text
     assert "8 of 20 ever 60 % · lost again 20 %" in text
@@ -143,7 +143,7 @@ def test_differences_are_paired_within_a_seed(run_dir: Path) -> None:
         counted("sft", solved(8), solved(12), 0),
         counted("rl_only", solved(16), solved(18), 0),
     ]
-    with Run(RunOptions(resume=str(run_dir)), "quickstart") as run:
+    with Run(RunOptions(name="<first>", resume=str(run_dir)), "quickstart") as run:
         run.save_results(rows)
     text = read(write_report(run_dir)).text
     gain = paired_rows(rows[0], rows[1])
@@ -158,7 +158,7 @@ def test_differences_over_seeds_leave_out_what_one_method_lacks(run_dir: Path) -
         counted("rl_co", solved(n), solved(n), s) for s, n in enumerate((18, 16, 20))
     ]
     rows += [counted("sft", solved(n), solved(n), s) for s, n in enumerate((8, 10))]
-    with Run(RunOptions(resume=str(run_dir)), "quickstart") as run:
+    with Run(RunOptions(name="<first>", resume=str(run_dir)), "quickstart") as run:
         run.save_results(rows)
     text = read(write_report(run_dir)).text
     # .5 and .3: mean .4, s / sqrt(2) = .1, t(.975, 1 d.o.f.) = 12.7062

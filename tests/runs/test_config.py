@@ -125,7 +125,7 @@ def test_problem_in_a_yaml_file_names_the_file(recipe: Path) -> None:
     path.write_text("data: x\nppo:\n  lrr: 1\nppo.lr: 2\nppo.lr: 3\n")
     (problem,) = problems(recipe, f"config={path}")
     assert str(path) in problem
-    assert "duplicate key" in problem
+    assert "is given twice in line" in problem
     path.write_text("data: x\nppo:\n  lrr: 1\n")
     (problem,) = problems(recipe, f"config={path}")
     assert problem.startswith(

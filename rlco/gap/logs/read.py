@@ -120,6 +120,8 @@ def _files(path: Path) -> list[Path]:
         if path.suffix.lower() not in _SUFFIXES:
             raise DataError(f"log {str(path)!r} has no known format; give {_FORMATS}.")
         return [path]
+    if not path.is_dir():
+        raise DataError(f"log {str(path)!r} is no file and no folder; give {_FORMATS}.")
     if _is_bag(path):
         return [path]
     bags = sorted(folder for folder in path.iterdir() if _is_bag(folder))

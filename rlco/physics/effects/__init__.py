@@ -10,6 +10,7 @@ import runpy
 from pathlib import Path
 
 from rlco.errors import RlcoError
+from rlco.files.own_code import importing
 from rlco.physics.effects.actuator import (
     ACTUATOR_GAIN,
     ACTUATOR_LAG,
@@ -117,7 +118,7 @@ def load_code(path: str | Path | None) -> None:
         path: The file; None for none.
 
     Raises:
-        RlcoError: If the file does not exist, or registers no effect.
+        RlcoError: If the file does not exist, raises, or registers no effect.
     """
     if path is None:
         return
@@ -130,7 +131,8 @@ def load_code(path: str | Path | None) -> None:
             "registers effects."
         )
     known = set(EFFECTS)
-    runpy.run_path(str(file))
+    with importing(f"effects code {str(path)!r}"):
+        runpy.run_path(str(file))
     added = EFFECTS.keys() - known
     if not added:
         raise RlcoError(

@@ -17,6 +17,7 @@ import mujoco
 import numpy as np
 
 from rlco.errors import RlcoError, UnknownNameError
+from rlco.files.reading import reason
 from rlco.physics.effects import EFFECTS, AppliedEffect, Effect
 from rlco.physics.effects.effect import Array, ControllerTiming, joint_of
 from rlco.physics.effects.step_forces import LawAt, StepForces, table_of
@@ -74,8 +75,8 @@ def checked(
 
     Raises:
         UnknownNameError: If there is no such effect.
-        EffectError: If the model has no such target, or parameters are missing, unknown
-            or not finite.
+        EffectError: If the model has no such target, parameters are missing, unknown
+            or not finite, or one would take away more than the model has.
     """
     known = library_effect(effect.name)
     allowed = known.targets(model)
@@ -86,7 +87,8 @@ def checked(
         more = driven_joints(model)
     if effect.target not in (*allowed, *more):
         raise EffectError(effect.name, effect.target, *_refusal(model, effect, allowed))
-    names = [p.name for p in known.parameters(model, effect.target)]
+    parameters = known.parameters(model, effect.target)
+    names = [p.name for p in parameters]
     if set(names) != set(effect.parameters):
         given = ", ".join(effect.parameters) or "none"
         raise EffectError(
@@ -99,6 +101,16 @@ def checked(
         if not np.isfinite(value):
             raise EffectError(
                 effect.name, effect.target, f"{name} is {value}", "give a finite number"
+            )
+    for parameter in parameters:
+        value = effect.parameters[parameter.name]
+        if parameter.present is not None and parameter.after(value) < 0.0:
+            raise EffectError(
+                effect.name,
+                effect.target,
+                f"{parameter.name}={value:g} would leave the model with "
+                f"{parameter.after(value):g}, less than none",
+                "give a larger number",
             )
     return replace(effect, parameters={n: float(effect.parameters[n]) for n in names})
 
@@ -149,6 +161,31 @@ def apply_to_spec(spec: mujoco.MjSpec, effects: Iterable[AppliedEffect]) -> None
             known.on_spec(spec, effect.target, effect.values)
         if known.friction is not None:
             _enable_friction(spec, effect.target)
+
+
+def compile_with(
+    spec: mujoco.MjSpec, effects: Sequence[AppliedEffect]
+) -> mujoco.MjModel:
+    """Compile a model with effects that MJCF can express; the spec is not modified.
+
+    Raises:
+        EffectError: If MuJoCo refuses what one of them makes of the model.
+    """
+    changed = spec.copy()
+    apply_to_spec(changed, effects)
+    try:
+        return changed.compile()
+    except ValueError as error:
+        if len(effects) > 1:
+            for number in range(1, len(effects)):
+                compile_with(spec, effects[:number])
+        last = effects[-1]
+        raise EffectError(
+            last.name,
+            last.target,
+            f"MuJoCo does not compile the model with it ({reason(error)})",
+            "give other parameters",
+        ) from error
 
 
 def _enable_friction(spec: mujoco.MjSpec, target: str | None) -> None:

@@ -22,9 +22,9 @@ from rlco.physics.effects import AppliedEffect
 from rlco.physics.effects.apply import (
     EffectError,
     apply_to_measurement,
-    apply_to_spec,
     check_of_task,
     checked,
+    compile_with,
     controller_timing,
     in_order,
     library_effect,
@@ -191,11 +191,10 @@ def correct(
         effects: The effects.
 
     Raises:
-        EffectError: If one adds joints or actuators.
+        EffectError: If one adds joints or actuators, or makes a model that MuJoCo
+            refuses.
     """
-    corrected = spec.copy()
-    apply_to_spec(corrected, effects)
-    model = corrected.compile()
+    model = compile_with(spec, effects)
     if (model.nq, model.nv, model.nu) != (plain.nq, plain.nv, plain.nu):
         extra = next(e for e in effects if library_effect(e.name).on_spec is not None)
         raise EffectError(

@@ -14,6 +14,8 @@ from typing import Any
 import yaml
 
 from rlco.errors import DataError, suggest
+from rlco.files import read_yaml, shown
+from rlco.files.fields import is_number
 from rlco.physics.effects.apply import library_effect
 from rlco.physics.effects.effect import AppliedEffect
 
@@ -100,14 +102,9 @@ def read_effects(path: str | Path) -> EffectsFile:
         UnknownNameError: If an effect is not in the library.
     """
     path = Path(path)
-    try:
-        content = yaml.safe_load(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        reason = " ".join(str(error).split())
-        raise DataError(
-            f"effects file {str(path)!r} cannot be read ({reason}); give an "
-            "effects.yaml as the gap workflow writes it."
-        ) from None
+    content = read_yaml(
+        path, advice="give an effects.yaml as the gap workflow writes it"
+    )
     if not isinstance(content, dict) or not isinstance(content.get("effects"), list):
         raise DataError(
             f"effects file {str(path)!r} has no list named 'effects'; write one with "
@@ -115,28 +112,28 @@ def read_effects(path: str | Path) -> EffectsFile:
         )
     if content.get("version", VERSION) not in (VERSION, WITH_SENSORS):
         raise DataError(
-            f"effects file {str(path)!r} has version {content['version']!r}; versions "
-            f"{VERSION} and {WITH_SENSORS} are read, so let the gap workflow write it "
-            "again."
+            f"effects file {str(path)!r} has version {shown(content['version'])}; "
+            f"versions {VERSION} and {WITH_SENSORS} are read, so let the gap workflow "
+            "write it again."
         )
     for key in content:
         if key not in _TOP:
             raise DataError(
-                f"effects file {str(path)!r} has an unknown entry {key!r}"
+                f"effects file {str(path)!r} has an unknown entry {shown(key)}"
                 f"{suggest(str(key), _TOP)}; known: {', '.join(_TOP)}."
             )
     names = content.get("names") or {}
     if not _is_text_map(names):
         raise DataError(
-            f"names of effects file {str(path)!r} are {names!r}; give a map from names "
-            "to names."
+            f"names of effects file {str(path)!r} are {shown(names)}; give a map from "
+            "names to names."
         )
     rows = tuple(_effect(path, i, row) for i, row in enumerate(content["effects"], 1))
     sensors = content.get("sensors")
     if sensors is not None and not isinstance(sensors, dict):
         raise DataError(
-            f"sensors of effects file {str(path)!r} are {sensors!r}; give a map from "
-            "names to numbers."
+            f"sensors of effects file {str(path)!r} are {shown(sensors)}; give a map "
+            "from names to numbers."
         )
     return EffectsFile(rows, names, sensors)
 
@@ -144,16 +141,19 @@ def read_effects(path: str | Path) -> EffectsFile:
 def _effect(path: Path, number: int, row: Any) -> AppliedEffect:
     place = f"effect {number} of {str(path)!r}"
     if not isinstance(row, dict) or not {"name", "parameters"} <= row.keys() <= _KEYS:
-        raise DataError(f"{place} is {row!r}; give its name, target and parameters.")
+        raise DataError(
+            f"{place} is {shown(row)}; give its name, target and parameters."
+        )
     library_effect(str(row["name"]))
     target, parameters = row.get("target"), row["parameters"]
     if target is not None and not isinstance(target, str):
-        raise DataError(f"{place} has the target {target!r}; give a name, or null.")
-    if not isinstance(parameters, dict) or any(
-        isinstance(v, bool) or not isinstance(v, int | float)
-        for v in parameters.values()
-    ):
-        raise DataError(f"{place} has the parameters {parameters!r}; give numbers.")
+        raise DataError(
+            f"{place} has the target {shown(target)}; give a name, or null."
+        )
+    if not isinstance(parameters, dict) or not all(map(is_number, parameters.values())):
+        raise DataError(
+            f"{place} has the parameters {shown(parameters)}; give numbers."
+        )
     numbers = {str(k): float(v) for k, v in parameters.items()}
     return AppliedEffect(str(row["name"]), target, numbers)
 

@@ -10,14 +10,18 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError
-from safetensors.torch import load_file, save_file
+from safetensors.torch import load_file
 from torch import nn
 
 from rlco.errors import CheckpointError, RlcoError
+from rlco.files import read_json, reading
+from rlco.files.checksums import verify
 from rlco.finite import check_loaded, check_saved
 from rlco.policies.small.chunk_policy import ChunkPolicy
 from rlco.policies.small.observation_check import check_observations
 from rlco.policies.small.registry import make_policy
+from rlco.runs.state_files import save_tensors
+from rlco.runs.whole_files import write_text
 
 WEIGHTS = "policy.safetensors"
 DESCRIPTION = "policy.json"
@@ -66,12 +70,8 @@ def save_policy(
         name: tensor.detach().cpu().contiguous()
         for name, tensor in policy.state_dict().items()
     }
-    partial = path / (WEIGHTS + ".partial")
-    save_file(weights, partial)
-    partial.replace(path / WEIGHTS)
-    partial = path / (DESCRIPTION + ".partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(path / DESCRIPTION)
+    save_tensors(path / WEIGHTS, weights, {})
+    write_text(path / DESCRIPTION, text)
 
 
 def load_policy(
@@ -121,17 +121,21 @@ def load_weights(policy: nn.Module, folder: str | os.PathLike[str]) -> None:
     """Copy the weights in ``folder`` into ``policy``, which keeps its own dtype.
 
     Raises:
-        CheckpointError: the file is missing, damaged, of another architecture, or
-            holds NaN or infinity; the policy is then as it was.
+        CheckpointError: the file is missing, damaged, not what was written (its
+            checksum differs), of another architecture, or holds NaN or infinity; the
+            policy is then as it was.
     """
     path = Path(folder) / WEIGHTS
-    try:
+    advice = f"give the folder of a saved policy, with {WEIGHTS} and {DESCRIPTION}"
+    with reading(
+        path,
+        SafetensorError,
+        what="file of weights",
+        advice=advice,
+        error=CheckpointError,
+    ):
         found = load_file(path)
-    except (OSError, SafetensorError) as error:
-        raise CheckpointError(
-            f"cannot read the weights {str(path)!r} ({error}); give the folder of a "
-            f"saved policy, with {WEIGHTS} and {DESCRIPTION}."
-        ) from error
+    verify(path)
     expected = policy.state_dict()
     differences = _differences(expected, found)
     if differences:
@@ -146,21 +150,23 @@ def load_weights(policy: nn.Module, folder: str | os.PathLike[str]) -> None:
 
 
 def _read_description(path: Path) -> dict[str, Any]:
-    try:
-        description = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise CheckpointError(
-            f"cannot read {str(path)!r} ({error}); give the folder of a saved policy, "
-            f"with {WEIGHTS} and {DESCRIPTION}{_nearby(path.parent)}."
-        ) from error
-    if not isinstance(description, dict) or not set(_FIELDS) <= set(description):
+    fields = read_json(
+        path,
+        advice=f"give the folder of a saved policy, with {WEIGHTS} and {DESCRIPTION}"
+        f"{_nearby(path.parent)}",
+        error=CheckpointError,
+    )
+    if not set(_FIELDS) <= set(fields.content):
         raise CheckpointError(
             f"{str(path)!r} is not a description of a policy; it must hold "
             f"{', '.join(_FIELDS)}."
         )
-    if not isinstance(description["arguments"], dict):
-        raise CheckpointError(f"{str(path)!r}: arguments must be a mapping.")
-    return description
+    return {
+        "kind": fields.text("kind"),
+        "arguments": fields.mapping("arguments"),
+        "rlco": fields.text("rlco"),
+        "extra": fields.mapping("extra"),
+    }
 
 
 def _nearby(folder: Path) -> str:

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any, Literal
 
 from rlco.errors import DataError, RlcoError
+from rlco.files import read_json, reading
 from rlco.runs.compare.jobs import Job
 from rlco.runs.metrics import read_metrics
+from rlco.runs.results_file import read_results
 from rlco.runs.whole_files import write_text
 
 #: Columns of metrics.csv that begin with this only an evaluation fills, but for one.
@@ -80,12 +82,9 @@ def read_cell(path: Path) -> Cell:
     Raises:
         DataError: It is no cell.
     """
-    try:
-        return Cell(**json.loads(path.read_text("utf-8")))
-    except (OSError, ValueError, TypeError) as error:
-        raise DataError(
-            f"{str(path)!r} is no cell of compare.py ({error}); take it away."
-        ) from error
+    content = read_json(path, advice="take it away").content
+    with reading(path, what="cell", advice="take it away"):
+        return Cell(**content)
 
 
 def results(run: Path) -> list[dict[str, Any]]:
@@ -95,13 +94,8 @@ def results(run: Path) -> list[dict[str, Any]]:
         DataError: There are none, or they are no counts of successes.
     """
     path = run / "results.json"
-    try:
-        rows: list[dict[str, Any]] = json.loads(path.read_text("utf-8"))["rows"]
-        sound = all(0 <= row["successes"] <= row["episodes"] > 0 for row in rows)
-        named = all(row["method"] and row["domain"] for row in rows)
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise DataError(f"{str(path)!r} has no rows of results ({error!r}).") from error
-    if not (rows and sound and named):
+    rows = read_results(path)
+    if not rows:
         raise DataError(f"{str(path)!r} has no rows of results.")
     return rows
 

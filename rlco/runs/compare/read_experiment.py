@@ -9,9 +9,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import yaml
-
-from rlco.errors import ConfigError, suggest
+from rlco.errors import ConfigError, DataError, suggest
+from rlco.files import read_yaml
 from rlco.runs.compare.code_version import ROOT
 from rlco.runs.compare.experiment import (
     Experiment,
@@ -78,10 +77,9 @@ def read_experiment(path: Path) -> Experiment:
 
 def _content(path: Path) -> dict[str, Any]:
     try:
-        content = yaml.safe_load(path.read_text("utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
-        what = " ".join(str(error).split())
-        raise ConfigError([f"{path} cannot be read as YAML: {what}"]) from error
+        content = read_yaml(path)
+    except DataError as error:
+        raise ConfigError([str(error).rstrip(".")]) from error
     if not isinstance(content, dict):
         raise ConfigError([f"{path} must hold name, over, jobs and table"])
     return content

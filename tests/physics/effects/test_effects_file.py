@@ -60,7 +60,7 @@ def test_the_file_is_one_that_people_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("effects: [", "cannot be read"),
+        ("effects: [", "is no YAML .* in line 1"),
         ("- name: x", "no list named 'effects'"),
         ("effects: {}", "no list named 'effects'"),
         ("version: 3\neffects: []", "version 3; versions 1 and 2 are read"),
@@ -87,5 +87,5 @@ def test_an_effect_that_no_library_has_is_refused(tmp_path: Path) -> None:
     path.write_text("effects: [{name: backlas, target: j, parameters: {width: 1}}]")
     with pytest.raises(UnknownNameError, match="did you mean 'backlash'"):
         read_effects(path)
-    with pytest.raises(RlcoError, match="cannot be read"):
+    with pytest.raises(RlcoError, match="is missing"):
         read_effects(tmp_path / "none.yaml")

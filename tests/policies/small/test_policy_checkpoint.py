@@ -99,7 +99,7 @@ def test_a_missing_or_truncated_file_is_named(saved: Path, name: str) -> None:
     [
         ({"kind": "gausian"}, "did you mean 'gaussian'"),
         ({"arguments": {"state_size": 2, "chunk": 3, "size": 1}}, "size"),
-        ({"arguments": [2, 3]}, "arguments must be a mapping"),
+        ({"arguments": [2, 3]}, "not names with values"),
     ],
 )
 def test_a_description_that_cannot_be_built_is_refused(

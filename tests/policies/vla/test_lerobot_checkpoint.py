@@ -150,6 +150,13 @@ def test_a_missing_weight_file_is_no_random_model(copied: Path) -> None:
         load_lerobot(copied)
 
 
+def test_a_truncated_processor_state_is_told(copied: Path) -> None:
+    file = next(copied.glob("policy_preprocessor_step_*_normalizer*.safetensors"))
+    file.write_bytes(file.read_bytes()[:20])
+    with pytest.raises(CheckpointError, match="a processor of the checkpoint"):
+        load_lerobot(copied)
+
+
 def test_a_checkpoint_of_another_action_size_is_refused() -> None:
     with pytest.raises(CheckpointError, match=r"7 action dimensions.*the task 6"):
         load_lerobot(folder("smolvla"), action_size=6)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from rlco.errors import DataError
-from rlco.gap.logs.log import Array
+from rlco.files import Fields, read_json, reading
+from rlco.files.fields import is_number
 from rlco.gap.logs.table import Column, Kind, Table
 
 _KINDS: dict[str, Kind] = {
@@ -29,10 +29,14 @@ def read_bam(path: Path) -> list[Table]:
     Raises:
         DataError: The file is not of that form, or an entry lacks what others have.
     """
-    content = _content(path)
-    entries: list[dict[str, Any]] = content["entries"]
-    keys = [key for key, value in entries[0].items() if isinstance(value, (int, float))]
-    channels = {key: _channel(path, entries, key) for key in keys}
+    content = read_json(path)
+    entries = content.groups("entries")
+    if not entries:
+        raise content.refuse("entries", "a list of entries as BAM's logs have")
+    keys = [key for key, value in entries[0].content.items() if _is_number(value)]
+    channels = {
+        key: np.array([_number(entry, key) for entry in entries]) for key in keys
+    }
     time = channels.pop("timestamp", None)
     if time is None or "position" not in channels:
         raise DataError(
@@ -47,37 +51,23 @@ def read_bam(path: Path) -> list[Table]:
         (Column(_KINDS.get(key, "extra"), "" if key in _KINDS else key, key), values)
         for key, values in channels.items()
     )
-    facts = {k: float(v) for k, v in content.items() if isinstance(v, (int, float))}
-    name = " ".join([path.stem, *filter(None, [str(content.get("trajectory") or "")])])
-    device = str(content.get("motor") or "")
+    facts = {k: float(v) for k, v in content.content.items() if _is_number(v)}
+    name = " ".join(filter(None, [path.stem, content.text("trajectory", None)]))
+    device = content.text("motor", "")
     return [Table(name, time, columns, facts, tuple(notes), device)]
 
 
 def is_bam(path: Path) -> bool:
     """Whether a JSON file has the form of BAM's logs."""
-    with path.open() as file:
-        # Its header is a few numbers; the entries are a megabyte.
-        return '"entries"' in file.read(4096)
+    # Its header is a few numbers; the entries are a megabyte.
+    with reading(path), path.open("rb") as file:
+        return b'"entries"' in file.read(4096)
 
 
-def _content(path: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(path.read_text())
-    except ValueError as error:
-        raise DataError(f"file {str(path)!r} is not valid JSON ({error}).") from None
-    entries = content.get("entries") if isinstance(content, dict) else None
-    if not isinstance(entries, list) or not entries or not isinstance(entries[0], dict):
-        raise DataError(
-            f"file {str(path)!r} has no list of entries as BAM's logs have."
-        )
-    return dict(content)
+def _number(entry: Fields, key: str) -> float:
+    value = entry.content.get(key)
+    return float(value) if isinstance(value, bool) else entry.number(key)
 
 
-def _channel(path: Path, entries: list[dict[str, Any]], key: str) -> Array:
-    for row, entry in enumerate(entries):
-        if not isinstance(entry.get(key), (int, float)):
-            raise DataError(
-                f"entry {row + 1} of {str(path)!r} has no number {key!r}; correct or "
-                "delete that entry."
-            )
-    return np.array([entry[key] for entry in entries], dtype=float)
+def _is_number(value: Any) -> bool:
+    return isinstance(value, bool) or is_number(value)

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import csv
 import io
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
 from rlco.errors import DataError
+from rlco.files import reading, shown
+from rlco.files.texts import read_text
 from rlco.gap.logs.formats.columns import tables_of
 from rlco.gap.logs.formats.list_cells import list_columns, split_lists
 from rlco.gap.logs.log import Array
@@ -16,6 +19,8 @@ from rlco.gap.logs.matching import few
 from rlco.gap.logs.table import Table
 from rlco.gap.model import LoadedModel
 
+#: Columns; a robot of sixty joints has some hundreds.
+_MOST = 4096
 _WORDS = {"true": "1", "false": "0", "": "nan", "none": "nan", "null": "nan"}
 
 
@@ -66,10 +71,7 @@ def read_csv(path: Path, model: LoadedModel | None) -> list[Table]:
 
 def _lines(path: Path) -> tuple[list[str], list[list[str]], str | None]:
     """Return the header, the rows of cells under it, and what separates them."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError:
-        raise DataError(f"file {str(path)!r} is not text; give a CSV file.") from None
+    text = read_text(path, encoding="utf-8-sig", advice="give a CSV file")
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     comments = [line.lstrip("# ") for line in lines if line.startswith("#")]
     plain = [line for line in lines if not line.startswith("#")]
@@ -80,7 +82,8 @@ def _lines(path: Path) -> tuple[list[str], list[list[str]], str | None]:
         # A quoted cell may hold separators and line breaks.
         source = io.StringIO("\n".join(plain), newline="")
         read = csv.reader(source, delimiter=separator, skipinitialspace=True)
-        rows = [[cell.strip() for cell in row] for row in read]
+        with reading(path, csv.Error):
+            rows = [[cell.strip() for cell in row] for row in read]
     else:
         rows = [_cells(line, separator) for line in plain]
     if all(_is_number(cell) for cell in rows[0]):
@@ -92,7 +95,13 @@ def _lines(path: Path) -> tuple[list[str], list[list[str]], str | None]:
                 "such as time,q1,q2,command1,command2."
             )
     header = rows[0]
-    twice = sorted({name for name in header if name and header.count(name) > 1})
+    if len(header) > _MOST:
+        raise DataError(
+            f"file {str(path)!r} has {len(header)} columns, and at most {_MOST} are "
+            "read; leave out those that are not of the robot."
+        )
+    counts = Counter(header)
+    twice = sorted(name for name, count in counts.items() if name and count > 1)
     if twice:
         raise DataError(
             f"file {str(path)!r} has several columns named {few(twice)}; give each its "
@@ -141,7 +150,7 @@ def _numbers(
     if sum(good) > len(good) / 2:
         row = good.index(False)
         raise DataError(
-            f"column {name!r} of {str(path)!r} holds {cells[row]!r} in row {row + 1}, "
-            "which is not a number; correct or delete that row."
+            f"column {name!r} of {str(path)!r} holds {shown(cells[row])} in row "
+            f"{row + 1}, which is not a number; correct or delete that row."
         )
     return None

@@ -12,6 +12,8 @@ import re
 from collections.abc import Collection
 from dataclasses import replace
 
+from rlco.errors import DataError
+from rlco.files import shown
 from rlco.gap.logs.formats.topics import parse_topic
 from rlco.gap.logs.table import Angles, Column, Kind
 
@@ -72,6 +74,9 @@ POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 #: Headers of numbers that say to which recording a row belongs.
 EPISODE = ("episode", "episode_index", "trajectory", "trial", "run", "recording")
 
+#: Characters of a header.
+_LONGEST = 300
+
 _JOIN = r"[\s._/:\-]+"
 _UNIT = re.compile(r"\s*[\[(]\s*([^\d\[\]()][^\[\]()]*)[\])]\s*$")
 _KINDS: dict[str, Kind] = {word: kind for kind, all_ in WORDS.items() for word in all_}
@@ -115,6 +120,7 @@ def parse_header(
         >>> [(column.kind, column.stem) for column in columns]
         [('velocity', '2'), ('command', 'elbow'), ('position', 'wrist')]
     """
+    _check_length(header)
     plain, angles = _without_unit(header)
     parsed = parse_topic(plain)
     if parsed is not None and plain not in joints and plain not in actuators:
@@ -144,6 +150,7 @@ def parse_time(header: str) -> float | None:
         >>> parse_time("timestamp_ns"), parse_time("Time [ms]"), parse_time("tau")
         (1e-09, 0.001, None)
     """
+    _check_length(header)
     if header.strip() == "%time":  # as `rostopic echo -p` writes it
         return TIME_UNITS["ns"]
     words = re.findall(r"[a-z]+", header.lower())
@@ -161,12 +168,23 @@ def parse_pose(header: str) -> tuple[str, str] | None:
         >>> parse_pose("cube.qw"), parse_pose("pos_x"), parse_pose("elbow")
         (('cube', 'qw'), ('', 'x'), None)
     """
+    _check_length(header)
     found = _POSE.fullmatch(_without_unit(header)[0])
     if found is None:
         return None
     axis = found["axis"].lower()
     turns = "q" if len(axis) > 1 else ""
     return found["stem"] or "", turns + axis[-1]
+
+
+def _check_length(header: str) -> None:
+    # Patterns take a time that grows with the square of a header's length.
+    if len(header) > _LONGEST:
+        raise DataError(
+            f"the log has a column whose name has {len(header)} characters, "
+            f"{shown(header[:40])} and so on, and at most {_LONGEST} are read; rename "
+            "it or leave it out."
+        )
 
 
 def _without_unit(header: str) -> tuple[str, Angles | None]:

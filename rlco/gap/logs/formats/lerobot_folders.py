@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 
+from rlco.files import read_json
 from rlco.gap.logs.formats.headers import parse_header
 from rlco.gap.logs.log import Array
 from rlco.gap.logs.table import Column, Kind, Table
@@ -66,8 +66,8 @@ def read_lerobot(
 
 def _absent(folder: LeRobotFolder) -> list[str]:
     """Note episodes that are listed and whose file is not there."""
-    info = json.loads((folder.path / "meta" / "info.json").read_text())
-    listed = int(info.get("total_episodes") or 0)
+    info = read_json(folder.path / "meta" / "info.json")
+    listed = info.integer("total_episodes", 0)
     lost = listed - len(folder.episodes)
     return [f"Of {listed} listed episodes {lost} have no file."] if lost > 0 else []
 

@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
-import json
+import math
+import tokenize
 from dataclasses import replace
 from pathlib import Path
-from zipfile import BadZipFile
+from typing import IO, Any
+from zipfile import ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rlco.errors import DataError
+from rlco.files import reading, shown
+from rlco.files.fields import is_number
+from rlco.files.sizes import check_declared
+from rlco.files.texts import parse_json, read_text
 from rlco.gap.logs.formats.columns import tables_of
 from rlco.gap.logs.formats.headers import POSE, parse_header
 from rlco.gap.logs.log import Array
@@ -23,6 +29,11 @@ _NAMES = ("columns", "header", "names", "joint_names", "joints")
 _LENGTHS = ("length", "lengths", "episode_lengths")
 _MOTION = ("vx", "vy", "vz", "wx", "wy", "wz")
 _WHOLE = "data"
+#: Kinds of arrays that are read: numbers, flags and texts.
+_READ = "fiubUS"
+_npy: Any = np.lib.format  # which has no types
+
+Counts = NDArray[np.int64]
 
 
 def read_npz(path: Path, model: LoadedModel | None) -> list[Table]:
@@ -41,7 +52,7 @@ def read_npz(path: Path, model: LoadedModel | None) -> list[Table]:
     """
     arrays = _arrays(path)
     names = _strings(arrays)
-    lengths = next((arrays[k] for k in _LENGTHS if k in arrays), None)
+    lengths = _lengths(path, arrays)
     facts, notes = _facts(path, arrays)
     tables = {k: a for k, a in arrays.items() if a.ndim in (1, 2)}
     rows = _rows(path, tables, lengths)
@@ -50,7 +61,7 @@ def read_npz(path: Path, model: LoadedModel | None) -> list[Table]:
         if len(array) == rows and array.dtype.kind in "fiub":
             columns |= _columns(path, key, array.astype(float), names, model)
     period = facts.get("dt", 1.0 / facts["fps"] if facts.get("fps") else None)
-    counts = None if lengths is None else lengths.astype(int).tolist()
+    counts = None if lengths is None else lengths.tolist()
     found = tables_of(
         path.stem,
         columns,
@@ -81,14 +92,55 @@ def _with_facts(
 
 
 def _arrays(path: Path) -> dict[str, NDArray[np.generic]]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            return {key: file[key] for key in file.files}
-    except (ValueError, OSError, EOFError, BadZipFile) as error:
+    """Return the arrays that may be columns, facts or names; no others are read."""
+    advice = "save plain arrays with numpy.savez"
+    found: dict[str, NDArray[np.generic]] = {}
+    with reading(path, tokenize.TokenError, advice=advice), ZipFile(path) as archive:
+        declared = {}
+        for entry in archive.infolist():
+            name = entry.filename.removesuffix(".npy")
+            if name == entry.filename:
+                continue
+            with archive.open(entry) as stream:
+                shape, dtype = _header(stream)
+            if dtype.hasobject:
+                raise DataError(
+                    f"array {name!r} of {str(path)!r} holds Python objects, which may "
+                    f"run code and are not read; {advice}."
+                )
+            if dtype.kind in _READ and len(shape) <= 2:
+                declared[name] = entry, math.prod(shape) * dtype.itemsize
+        check_declared(path, sum(size for _, size in declared.values()))
+        for name, (entry, _) in declared.items():
+            with archive.open(entry) as stream:
+                found[name] = _npy.read_array(stream, allow_pickle=False)
+    return found
+
+
+def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
+    """Return what an array declares of itself."""
+    version = _npy.read_magic(stream)
+    read = (
+        _npy.read_array_header_1_0 if version == (1, 0) else _npy.read_array_header_2_0
+    )
+    shape, _, dtype = read(stream)
+    return shape, dtype
+
+
+def _lengths(path: Path, arrays: dict[str, NDArray[np.generic]]) -> Counts | None:
+    """Return the rows of each recording, where an array gives them."""
+    given = next((arrays[key] for key in _LENGTHS if key in arrays), None)
+    if given is None:
+        return None
+    numbers = given.ndim == 1 and given.size and given.dtype.kind in "iuf"
+    rows = given.astype(float) if numbers else np.zeros(1)
+    # More rows than a float counts exactly are none of a recording.
+    if not np.all((rows >= 1) & (rows == np.floor(rows)) & (rows < 2**53)):
         raise DataError(
-            f"file {str(path)!r} cannot be read as NPZ ({error}); save plain arrays "
-            "with numpy.savez."
-        ) from None
+            f"the lengths in {str(path)!r} are {shown(given.tolist())}; give the rows "
+            "of each recording, whole numbers above 0, or leave them out."
+        )
+    return rows.astype(np.int64)
 
 
 def _strings(arrays: dict[str, NDArray[np.generic]]) -> list[str] | None:
@@ -112,14 +164,11 @@ def _facts(
         beside = others[0]
     if not beside.is_file():
         return facts, []
-    try:
-        content = json.loads(beside.read_text())
-    except ValueError as error:
-        raise DataError(f"file {str(beside)!r} is not valid JSON ({error}).") from None
+    content = parse_json(read_text(beside), beside)
     numbers = {
         key: float(value)
         for key, value in (content.items() if isinstance(content, dict) else ())
-        if isinstance(value, (int, float)) and not isinstance(value, bool)
+        if is_number(value)
     }
     note = f"Facts were read from {beside.name}: {few(list(numbers))}."
     return {**numbers, **facts}, [note] if numbers else []
@@ -128,10 +177,10 @@ def _facts(
 def _rows(
     path: Path,
     tables: dict[str, NDArray[np.generic]],
-    lengths: NDArray[np.generic] | None,
+    lengths: Counts | None,
 ) -> int:
     if lengths is not None:
-        return int(np.sum(lengths.astype(int)))
+        return sum(lengths.tolist())
     sizes = {key: len(a) for key, a in tables.items() if a.dtype.kind in "fiub"}
     if not sizes:
         raise DataError(f"file {str(path)!r} holds no arrays of numbers.")

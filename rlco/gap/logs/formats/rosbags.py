@@ -27,6 +27,7 @@ from rosbags.typesys import (
 from rosbags.typesys.store import Typestore
 
 from rlco.errors import DataError
+from rlco.files import reading
 from rlco.gap.logs.formats.headers import WORDS
 from rlco.gap.logs.formats.topics import parse_topic
 from rlco.gap.logs.log import Array
@@ -45,7 +46,8 @@ _FIELDS: Mapping[str, Kind] = {
 _SENT = ("output", "reference", "desired")
 # Stamps and receipts further apart are of two clocks [s].
 _OTHER_CLOCK = 1.0
-_BROKEN = (ReaderError, apsw.Error, OSError, EOFError, ValueError, KeyError)
+# What rosbags and the readers below it raise that is no built-in exception.
+_OWN = (ReaderError, SerdeError, TypesysError, apsw.Error)
 
 
 #: A list in a message: its field, whose each number is, the numbers.
@@ -130,22 +132,16 @@ def _topics(path: Path) -> dict[str, _Topic]:
     Raises:
         DataError: The bag cannot be read, or has no joint states.
     """
-    try:
-        with Reader(path) as bag:
-            wanted = [c for c in bag.connections if c.msgtype in _READERS]
-            listed = [f"{c.topic} ({c.msgtype})" for c in bag.connections]
-            store, known = _typestore(wanted)
-            found: dict[str, _Topic] = {}
-            for connection, receipt, data in bag.messages(known) if known else ():
-                topic = found.setdefault(connection.topic, _Topic(connection.msgtype))
-                _add(path, connection.topic, topic, store, receipt, data)
-    except _BROKEN as error:
-        if isinstance(error, DataError):
-            raise
-        raise DataError(
-            f"{str(path)!r} cannot be read as a rosbag2 of MCAP or SQLite ({error}); "
-            "give a whole bag, 'ros2 bag reindex' may mend one that was cut off."
-        ) from None
+    advice = "give a whole bag, 'ros2 bag reindex' may mend one that was cut off"
+    what = "rosbag2 of MCAP or SQLite"
+    with reading(path, *_OWN, what=what, advice=advice), Reader(path) as bag:
+        wanted = [c for c in bag.connections if c.msgtype in _READERS]
+        listed = [f"{c.topic} ({c.msgtype})" for c in bag.connections]
+        store, known = _typestore(wanted)
+        found: dict[str, _Topic] = {}
+        for connection, receipt, data in bag.messages(known) if known else ():
+            topic = found.setdefault(connection.topic, _Topic(connection.msgtype))
+            _add(path, connection.topic, topic, store, receipt, data)
     if not any(topic.kind == _STATES for topic in found.values()):
         raise DataError(
             f"{str(path)!r} holds no messages of {_STATES}; it has "
@@ -179,13 +175,9 @@ def _add(
     path: Path, name: str, topic: _Topic, store: Typestore, receipt: int, data: bytes
 ) -> None:
     """Decode a message and add it to its topic."""
-    try:
+    what = f"message {len(topic.rows) + 1} of {name} in"
+    with reading(path, *_OWN, what=what, advice="record it again"):
         message: Any = store.deserialize_cdr(data, topic.kind)
-    except (SerdeError, TypesysError) as error:
-        raise DataError(
-            f"message {len(topic.rows) + 1} of {name} in {str(path)!r} is no "
-            f"{topic.kind} ({error}); record it again."
-        ) from None
     stamp = getattr(getattr(message, "header", None), "stamp", None)
     stamped = 0 if stamp is None else stamp.sec * 1_000_000_000 + stamp.nanosec
     topic.receipts.append(receipt)

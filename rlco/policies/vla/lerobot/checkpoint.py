@@ -236,7 +236,7 @@ def _load_processors(
             "write it anew with LeRobot 0.6, which keeps the statistics in the "
             "processors."
         ) from error
-    except (OSError, ValueError, ImportError) as error:
+    except (OSError, ValueError, TypeError, ImportError, SafetensorError) as error:
         raise CheckpointError(
             f"a processor of the checkpoint {str(folder)!r} cannot be built "
             f"({_first_line(error)}); where it is the tokenizer that is not on this "

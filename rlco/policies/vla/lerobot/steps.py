@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from rlco.errors import CheckpointError
+from rlco.files import read_json
 
 #: LeRobot's own steps in the processors of pi0.5 and SmolVLA.
 STEPS = frozenset(
@@ -70,12 +71,11 @@ def check_config(file: Path, allow_code: Collection[str] = ()) -> None:
             environment of a training may name.
 
     Raises:
-        ValueError: it holds no JSON object.
-        CheckpointError: it trusts code from elsewhere, or names other Python.
+        CheckpointError: it holds no JSON object, trusts code from elsewhere, or names
+            other Python.
     """
-    content = json.loads(file.read_text("utf-8"))
-    if not isinstance(content, dict):
-        raise ValueError("it holds no JSON object")
+    advice = "copy the folder again, whole, or write it anew with LeRobot 0.6"
+    content = dict(read_json(file, advice=advice, error=CheckpointError).content)
     _check_trust(file, content)
     env = content.get("env")
     for what in ("task", "domain", "effects_code"):
@@ -93,7 +93,7 @@ def _read_steps(file: Path) -> list[dict[str, Any]]:
     """Return a processor's steps, each with a name that is text."""
     try:
         content = json.loads(file.read_text("utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         content = None
     steps = content.get("steps") if isinstance(content, dict) else None
     if not isinstance(steps, list) or not all(map(_has_name, steps)):

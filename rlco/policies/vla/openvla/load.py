@@ -11,10 +11,11 @@ from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
 from transformers import initialization
 
 from rlco.errors import CheckpointError
+from rlco.files import reading
+from rlco.files.checksums import verify
 from rlco.finite import check_loaded, check_saved
 from rlco.policies.vla.foreign_code import no_foreign_code
 from rlco.policies.vla.lora import merged_state
@@ -26,6 +27,7 @@ from rlco.policies.vla.openvla.weight_names import (
     to_published,
     vision_table,
 )
+from rlco.runs.state_files import save_tensors
 
 _LANGUAGE = "language_model."
 #: What OpenVLA's fine-tuning with regression leaves beside the weights.
@@ -141,14 +143,15 @@ def _published(folder: Path) -> Iterator[tuple[str, torch.Tensor]]:
             "OpenVLA's config.json and its weights."
         )
     for file in files:
-        try:
-            with safe_open(file, framework="pt") as weights:
-                for name in weights.keys():  # noqa: SIM118 (it is no mapping)
-                    yield name, weights.get_tensor(name)
-        except SafetensorError as error:
-            raise CheckpointError(
-                f"cannot read the weights {str(file)!r} ({error}); copy them again."
-            ) from error
+        verify(file)
+        with (
+            reading(
+                file, SafetensorError, what="file of weights", error=CheckpointError
+            ),
+            safe_open(file, framework="pt") as weights,
+        ):
+            for name in weights.keys():  # noqa: SIM118 (it is no mapping)
+                yield name, weights.get_tensor(name)
 
 
 def save_openvla(
@@ -194,6 +197,4 @@ def save_openvla(
     for name, value in _published(source):
         if is_unused(name, model.config):
             published[name] = value
-    partial = target / "model.safetensors.partial"
-    save_file(published, partial, metadata={"format": "pt"})
-    partial.replace(target / "model.safetensors")
+    save_tensors(target / "model.safetensors", published, {"format": "pt"})

@@ -1,0 +1,92 @@
+"""A checksum in a safetensors file: a bit that flipped in it does not go unnoticed.
+
+The file's header holds the SHA-256 of the whole file, taken while 64 zeros stand in its
+place. Files without one, written by others or before there was one, are not checked.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from pathlib import Path
+from typing import IO
+
+from rlco.errors import CheckpointError
+from rlco.files.reading import reading
+
+#: The entry of a header's metadata, and what stands there before it is known.
+KEY, UNKNOWN = "checksum", "0" * 64
+_BLOCK = 2**20  # bytes; a file may be larger than the memory
+_MOST_HEADER = 100_000_000  # bytes, safetensors' own limit
+
+
+def seal(path: Path) -> None:
+    """Write the checksum into a safetensors file, and wait until it is on the disk.
+
+    Args:
+        path: The file; its metadata has `UNKNOWN` under `KEY`.
+    """
+    with path.open("r+b") as file:
+        place = _place(file, UNKNOWN)
+        digest = _digest(file, place)
+        file.seek(place)
+        file.write(digest.encode())
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def verify(path: Path) -> None:
+    """Check a safetensors file against the checksum in it, where it has one.
+
+    Raises:
+        CheckpointError: It is missing, or not what was written.
+    """
+    advice = "give one that rlco wrote"
+    with (
+        reading(path, what="checkpoint", advice=advice, error=CheckpointError),
+        path.open("rb") as file,
+    ):
+        written = _written(file)
+        if written is None:
+            return
+        same = _digest(file, _place(file, written)) == written
+    if not same:
+        raise CheckpointError(
+            f"checkpoint {str(path)!r} is damaged: its content does not match its "
+            "checksum, so something changed it after it was written; copy it again, or "
+            "take one from before."
+        )
+
+
+def _header(file: IO[bytes]) -> bytes:
+    """Return a file's header, JSON."""
+    file.seek(0)
+    size = int.from_bytes(file.read(8), "little")
+    if size > _MOST_HEADER:
+        raise ValueError(f"a header of {size} bytes")
+    return file.read(size)
+
+
+def _written(file: IO[bytes]) -> str | None:
+    header = json.loads(_header(file))
+    metadata = header.get("__metadata__") if isinstance(header, dict) else None
+    found = metadata.get(KEY) if isinstance(metadata, dict) else None
+    return found if isinstance(found, str) else None
+
+
+def _place(file: IO[bytes], written: str) -> int:
+    """Return where a checksum stands in a file."""
+    return 8 + _header(file).index(f'"{KEY}":"{written}"'.encode()) + len(KEY) + 4
+
+
+def _digest(file: IO[bytes], place: int) -> str:
+    """Return the SHA-256 of a file as it is with `UNKNOWN` at a place."""
+    digest = hashlib.sha256()
+    file.seek(0)
+    digest.update(file.read(place))
+    digest.update(UNKNOWN.encode())
+    file.seek(len(UNKNOWN), os.SEEK_CUR)
+    while block := file.read(_BLOCK):
+        digest.update(block)
+    return digest.hexdigest()

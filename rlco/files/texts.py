@@ -1,0 +1,73 @@
+"""JSON of others: read whole, damage told in one sentence."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+from rlco.errors import DataError, RlcoError
+from rlco.files.fields import Fields
+from rlco.files.reading import reading
+
+
+def read_text(
+    path: Path,
+    *,
+    encoding: str = "utf-8",
+    advice: str = "copy it again",
+    error: type[RlcoError] = DataError,
+) -> str:
+    """Return a file's text.
+
+    Raises:
+        RlcoError: Of the class `error`, if it is missing or is not text.
+    """
+    with reading(path, advice=advice, error=error):
+        return path.read_text(encoding)
+
+
+def parse_json(
+    text: str,
+    path: Path,
+    *,
+    advice: str = "copy it again",
+    error: type[RlcoError] = DataError,
+) -> Any:
+    """Return the content of a JSON text from a file.
+
+    Raises:
+        RlcoError: Of the class `error`, if it is no JSON, or nested too deeply.
+    """
+    with reading(path, advice=advice, error=error):
+        return json.loads(text)
+
+
+def read_json(
+    path: Path,
+    *,
+    advice: str = "copy it again",
+    error: type[RlcoError] = DataError,
+) -> Fields:
+    """Return the fields of a JSON file that holds one object.
+
+    Raises:
+        RlcoError: Of the class `error`, if it is missing, damaged or another thing.
+    """
+    text = read_text(path, advice=advice, error=error)
+    content = parse_json(text, path, advice=advice, error=error)
+    return Fields(content, f"file {str(path)!r}", error, advice)
+
+
+def read_json_lines(path: Path) -> list[Fields]:
+    """Return the fields of each line of a file with one JSON object a line.
+
+    Raises:
+        DataError: If it is missing or damaged, or a line is no object.
+    """
+    lines = read_text(path).splitlines()
+    return [
+        Fields(parse_json(line, path), f"line {number} of file {str(path)!r}")
+        for number, line in enumerate(lines, 1)
+        if line.strip()
+    ]
