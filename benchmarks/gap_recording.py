@@ -33,12 +33,18 @@ class Recorded:
     torque: Array
 
 
-def goals(plant: Plant, commands: Array, fps: float, random: Random) -> Array:
+def goals(
+    plant: Plant,
+    commands: Array,
+    fps: float,
+    random: Random,
+    times: Array | None = None,
+) -> Array:
     """Return what reaches each servo at each physics step, (steps, joints) [rad].
 
-    Commands are sent at `fps`, and held. On their way, in this order: some are lost,
-    they are late, read once a period, limited in speed, smoothed, and at last the
-    transmission's play and the encoder's zero and scale come between.
+    Commands are sent at `fps`, or at these times [s], and held. On their way, in this
+    order: some are lost, they are late, read once a period, limited in speed, smoothed,
+    and at last the transmission's play and the encoder's zero and scale come between.
     """
     step = plant.model.opt.timestep
     time = step * np.arange(int(np.ceil(len(commands) / fps / step - 1e-6)) + 1)
@@ -53,8 +59,14 @@ def goals(plant: Plant, commands: Array, fps: float, random: Random) -> Array:
         sent = np.floor(sent / effect["period"] + 1e-6) * effect["period"]
     for effect in plant.of("command_delay"):
         sent = sent - effect["delay"]
-    frames = np.floor(sent * fps + 1e-6).astype(int)
-    goal = commands[np.clip(frames, 0, len(commands) - 1)].astype(float)
+    if times is None:
+        frames = np.floor(sent * fps + 1e-6).astype(int)
+        goal = commands[np.clip(frames, 0, len(commands) - 1)].astype(float)
+    else:
+        # One that arrives within a step acts for the rest of it: ten parts suffice.
+        parts = sent[:, None] + step * (np.arange(10) + 0.5) / 10
+        frames = np.searchsorted(times, parts, side="right") - 1
+        goal = commands[np.clip(frames, 0, len(commands) - 1)].mean(axis=1)
     for column, joint in enumerate(plant.joints):
         for effect in plant.hidden:
             if effect.target != joint:
@@ -103,6 +115,7 @@ def record(
     fps: float,
     random: Random,
     session: tuple[float, float] = (0.0, 1.0),
+    times: Array | None = None,
 ) -> Recorded:
     """Send commands to a plant that rests at the first of them.
 
@@ -113,10 +126,12 @@ def record(
         random: What decides on losses and pushes.
         session: Where in the whole session the episode begins and ends, in [0, 1]:
             what drifts, drifts over the session.
+        times: When each row is read, and its command sent, (frames,) [s]; None for
+            even ones.
     """
     model, joints = plant.model, plant.joints
     data = mujoco.MjData(model)
-    goal = goals(plant, commands, fps, random)
+    goal = goals(plant, commands, fps, random, times)
     places = [model.joint(joint).qposadr[0] for joint in joints]
     dofs = [plant.dofs[joint] for joint in joints]
     data.qpos[places] = _true(plant, commands[0])
@@ -144,7 +159,7 @@ def record(
     # The next episode begins with the plant's own friction, not with the last step's.
     model.dof_frictionloss[:] = act.friction
     told = _told(plant, position)
-    time = np.arange(len(commands)) / fps
+    time = np.arange(len(commands)) / fps if times is None else times
     clock = model.opt.timestep * np.arange(steps)
 
     def at_frames(signal: Array) -> Array:

@@ -40,7 +40,8 @@ class Score:
         exact: All that was hidden was named, and nothing else.
         fine: Exact, or within a class of at most three that is said to be ambiguous.
         abstains: It names nothing.
-        warns: It names nothing, or says that a part of the gap stays unexplained.
+        warns: It names nothing, says that a part of the gap stays unexplained, or
+            that something outside the library acts.
         confident_wrong: It names a wrong effect, alone and without a warning.
         place: The first effect is at a right joint.
         within: What was hidden is among the effects and their rivals.
@@ -86,7 +87,7 @@ def judge(report: Row, truth: Row) -> Score:
     ambiguous = report["verdict"] == "ambiguous"
     in_class = ambiguous and all(rivals) and len(effects) == len(hidden) > 0
     share = (report.get("unexplained") or {}).get("share") or 0.0
-    warns = abstains or share > _TOLD_SHARE
+    warns = abstains or share > _TOLD_SHARE or bool(report.get("doubts"))
     right = [(a, e) for e in truth["effects"] for a in effects if same(a, e)]
     return Score(
         exact=exact,

@@ -20,6 +20,7 @@ from rlco.gap.logs import read_log
 from rlco.gap.make_problem import make_problem
 from rlco.gap.model import load_model
 from rlco.gap.search.find_gap import find_gap
+from rlco.gap.search.verdict import DOUBT
 
 
 def search(folder: Path, exclude: Sequence[str] = ()) -> dict[str, Any]:
@@ -58,6 +59,9 @@ def answer(verdict: Verdict) -> dict[str, Any]:
             "noise_floor": gap.noise_floor,
         },
         "unexplained": dict(verdict.unexplained),
+        "doubts": verdict.free_form is not None
+        or DOUBT in str(verdict.unexplained.get("note")),
+        "outside": verdict.free_form and verdict.free_form.target,
         "closest": [[c.name, c.target, share] for c, share in verdict.closest],
     }
 

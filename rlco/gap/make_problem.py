@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from rlco.errors import DataError
+from rlco.gap.compare.arm.missing_commands import with_missing_commands
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.comparisons import Compared
 from rlco.gap.compare.noise import position_noise
@@ -174,6 +175,7 @@ def _other_actions(log: Log, loaded: LoadedModel, own: Sequence[str]) -> str:
 
 def _commanded(loaded: LoadedModel, log: Log, threads: int) -> Problem:
     noise = np.asarray(position_noise(log).deviation)
+    log = with_missing_commands(loaded.spec, log, noise, SEGMENT, threads)
     whole_recordings = ArmRollouts(loaded.spec, log, noise, threads=threads)
     if forgets(whole_recordings) or _diverges(whole_recordings):
         return whole_recordings
@@ -236,16 +238,23 @@ def _cut(recording: Recording, pieces: int) -> list[Recording]:
             recording.take(slice(bounds[i], bounds[i + 1])),
             name=f"{recording.name}, part {i + 1}",
             cut_from=recording.name,
-            earlier=_earlier(recording, bounds[i]),
+            unread=_unread(recording, bounds[i], bounds[i + 1]),
         )
         for i in range(pieces)
     ]
 
 
-def _earlier(recording: Recording, row: int) -> tuple[Array, Array] | None:
-    """Return times and commands of the rows before a row, None where there are none."""
-    if row == 0 or recording.command is None:
+def _unread(recording: Recording, row: int, end: int) -> tuple[Array, Array] | None:
+    """Return times and commands beside a part's rows, None where there are none."""
+    if recording.command is None:
         return None
     since = recording.time[row] - EARLIER
     rows = slice(int(np.searchsorted(recording.time, since)), row)
-    return recording.time[rows], recording.command[rows]
+    time, sent = recording.time[rows], recording.command[rows]
+    if recording.unread is not None:
+        own, lost = recording.unread
+        near = (own >= since) & (own < recording.time[end - 1])
+        time, sent = np.r_[time, own[near]], np.concatenate([sent, lost[near]])
+        order = np.argsort(time, kind="stable")
+        time, sent = time[order], sent[order]
+    return (time, sent) if len(time) else None

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 
 from rlco.gap.logs.log import Array, Log
+from rlco.gap.logs.times.encoder_step import encoder_step
+from rlco.gap.logs.times.sixth_differences import ORDER, sixth_differences
 
-# Sixth differences: motion that is smooth over seven rows nearly vanishes in them, even
-# at 30 Hz, while white noise passes unattenuated.
-_ORDER = 6
 _FEW = 100  # windows; with fewer, the median's error exceeds 20 %
 _GAUSS = 0.6745  # median of |x| for a standard normal x
 
@@ -51,11 +49,11 @@ def measurement_noise(recordings: Sequence[tuple[Array, Array]]) -> Noise:
         >>> bool(abs(noise.deviation[0] - 4e-4) < 0.4e-4), float(noise.quantum[0])
         (True, 0.0)
     """
-    parts = [_high_pass(time, values) for time, values in recordings]
+    parts = [sixth_differences(time, values) for time, values in recordings]
     high = np.concatenate([part[0] for part in parts])
     travel = np.concatenate([part[1] for part in parts])
     values = np.concatenate([values for _, values in recordings])
-    quantum = np.array([_quantum(column) for column in values.T])
+    quantum = np.array([encoder_step(column) for column in values.T])
     deviation = [
         _deviation(high[:, c], travel[:, c], quantum[c], values[:, c])
         for c in range(values.shape[1])
@@ -64,27 +62,19 @@ def measurement_noise(recordings: Sequence[tuple[Array, Array]]) -> Noise:
 
 
 def position_noise(log: Log) -> Noise:
-    """Estimate the noise of a log's joint positions, (joints,)."""
-    return measurement_noise(
-        [(r.time, r.position) for r in log.recordings if r.position is not None]
-    )
+    """Estimate the noise of a log's joint positions, (joints,).
 
-
-def _high_pass(time: Array, values: Array) -> tuple[Array, Array]:
-    """Return scaled sixth differences and each window's travel, (windows, C)."""
-    if len(time) <= _ORDER:
-        nothing = np.empty((0, values.shape[1]))
-        return nothing, nothing
-    times = sliding_window_view(time, _ORDER + 1)
-    apart = (times[:, :, None] - times[:, None, :]) / np.median(np.diff(time))
-    diagonal = np.arange(_ORDER + 1)
-    apart[:, diagonal, diagonal] = 1.0
-    # Divided difference: f[t0..tn] = sum_i f(ti) / prod_j (ti - tj).
-    weights = 1.0 / apart.prod(axis=2)
-    weights /= np.linalg.norm(weights, axis=1, keepdims=True)
-    windows = sliding_window_view(values, _ORDER + 1, axis=0)
-    high = np.einsum("ncw,nw->nc", windows, weights)
-    return high, np.abs(windows[:, :, -1] - windows[:, :, 0])
+    What is not known of the rows' times adds speed times as much.
+    """
+    parts = [(r, r.position) for r in log.recordings if r.position is not None]
+    noise = measurement_noise([(one.time, position) for one, position in parts])
+    if not any(one.jitter for one, _ in parts):
+        return noise
+    moved = [
+        one.jitter * np.gradient(position, one.time, axis=0) for one, position in parts
+    ]
+    late = np.mean(np.concatenate(moved) ** 2, axis=0)
+    return replace(noise, deviation=np.sqrt(noise.deviation**2 + late))
 
 
 def _deviation(high: Array, travel: Array, quantum: float, values: Array) -> float:
@@ -93,7 +83,7 @@ def _deviation(high: Array, travel: Array, quantum: float, values: Array) -> flo
     floor = max(finest, quantum) / math.sqrt(12.0)
     if quantum > 0:
         # At rest, samples hide noise that is smaller than one encoder step.
-        moving = high[travel > _ORDER * quantum]
+        moving = high[travel > ORDER * quantum]
         return max(floor, _robust(moving if len(moving) >= _FEW else high))
     resting = high[travel <= np.quantile(travel, 0.25)] if travel.size else high
     estimates = [_robust(part) for part in (high, resting) if len(part) >= _FEW]
@@ -103,20 +93,3 @@ def _deviation(high: Array, travel: Array, quantum: float, values: Array) -> flo
 
 def _robust(values: Array) -> float:
     return float(np.median(np.abs(values)) / _GAUSS) if values.size else 0.0
-
-
-def _quantum(values: Array) -> float:
-    """Return the step of which all differences between samples are multiples."""
-    levels = np.unique(values)
-    finest = float(np.spacing(np.abs(values).max().astype(np.float32)))
-    gaps = np.diff(levels)
-    gaps = gaps[gaps > 4.0 * finest]
-    few = len(gaps) < 8 and len(levels) > len(values) / 10
-    step = float(gaps.min(initial=np.inf))
-    if few or step < 50.0 * finest or not len(gaps):
-        return 0.0
-    multiples = np.round(gaps / step)
-    off = np.abs(gaps / step - multiples)
-    if np.mean(off < 0.02 + 2.0 * finest / step) < 0.98:
-        return 0.0
-    return float(gaps.sum() / multiples.sum())

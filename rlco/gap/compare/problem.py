@@ -287,6 +287,25 @@ class HeldOut:
 
 
 @dataclass(frozen=True)
+class FreeForm:
+    """A torque outside the library that does clearly better than the named effects.
+
+    Attributes:
+        target: The joint that it acts on.
+        gain: By how much less of the held-out error it leaves: 0.3 is 30 per cent.
+        over_position: Positions [rad or m] and torques [N m or N], (2, P).
+        over_velocity: Velocities [rad/s or m/s] and torques, (2, V).
+        over_time: Times, recordings one after the other [s], and torques, (2, T).
+    """
+
+    target: str
+    gain: float
+    over_position: Array
+    over_velocity: Array
+    over_time: Array
+
+
+@dataclass(frozen=True)
 class Verdict:
     """The result of a search.
 
@@ -311,6 +330,8 @@ class Verdict:
             `train` and `heldout` then are all recordings, and the gap before is with
             the model's own numbers fitted.
         remarks: What else was noticed, one sentence each.
+        free_form: A torque of free form that does clearly better than the named
+            effects; None where there is none.
     """
 
     complete: bool
@@ -327,3 +348,4 @@ class Verdict:
     instability: Instability | None = None
     held_out: HeldOut | None = None
     remarks: tuple[str, ...] = ()
+    free_form: FreeForm | None = None

@@ -9,6 +9,7 @@ import numpy as np
 
 from rlco.gap.compare.problem import Integers
 from rlco.gap.logs.log import Array, Recording
+from rlco.gap.logs.times.timing import is_even
 
 SETTLE = 0.3  # time in which an arm forgets a wrong initial velocity [s]
 
@@ -45,30 +46,46 @@ def held_commands(
 ) -> Array:
     """Return the commands at each physics step, held between rows, (steps, nu).
 
-    They begin `earlier_steps` before the recording's first row.
+    They begin `earlier_steps` before the recording's first row, and hold
+    `Recording.unread`.
     """
     before = earlier_steps(recording, step)
     steps = before + round(recording.seconds / step) + 1
     times = recording.time[0] + step * (np.arange(steps) - before)
     time, sent = recording.time, np.asarray(recording.command, dtype=float)
-    if recording.earlier is not None:
-        time, sent = (
-            np.concatenate([early, later])
-            for early, later in zip(recording.earlier, (time, sent), strict=True)
-        )
-    # A row takes effect at the step nearest to it in time.
-    row = np.searchsorted(time, times + 0.5 * step, side="right") - 1
+    if recording.unread is not None:
+        time = np.concatenate([recording.unread[0], time])
+        order = np.argsort(time, kind="stable")
+        time, sent = time[order], np.concatenate([recording.unread[1], sent])[order]
     commands = np.zeros((steps, size))
-    commands[:, columns] = sent[row]
+    if is_even(recording.time):
+        # A row takes effect at the step nearest to it in time.
+        row = np.searchsorted(time, times + 0.5 * step, side="right") - 1
+        commands[:, columns] = sent[row]
+    else:
+        commands[:, columns] = _means(time, sent, times, step)
     return commands
+
+
+def _means(time: Array, sent: Array, times: Array, step: float) -> Array:
+    """Return the mean of held commands in the step that begins at each time."""
+    total = np.zeros_like(sent)
+    np.cumsum(sent[:-1] * np.diff(time)[:, None], axis=0, out=total[1:])
+
+    def until(times: Array) -> Array:
+        row = np.clip(np.searchsorted(time, times, side="right") - 1, 0, None)
+        return np.asarray(total[row] + sent[row] * (times - time[row])[:, None])
+
+    return np.asarray((until(times + step) - until(times)) / step)
 
 
 def earlier_steps(recording: Recording, step: float) -> int:
     """Return the physics steps of the commands before a recording's first row."""
-    if recording.earlier is None:
+    if recording.unread is None:
         return 0
-    # Rounded down: the first of them has a row.
-    return int((recording.time[0] - recording.earlier[0][0]) / step + 1e-6)
+    # Rounded down: the first of them has a command.
+    since = recording.time[0] - float(recording.unread[0][0])
+    return max(0, int(since / step + 1e-6))
 
 
 def joint_velocity(recording: Recording) -> Array:

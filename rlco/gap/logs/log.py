@@ -29,8 +29,10 @@ class Recording:
         device: What was recorded, as its file names it, such as ``xl330``; empty where
             it does not.
         cut_from: Name of the recording that this is a part of; empty where it is whole.
-        earlier: Times [s] and commands of rows before the first, which still act on a
-            part where commands are late, (L,) and (L, actuators).
+        unread: Times [s], rising, and commands that are no row's, (L,) and (L,
+            actuators): before the first row, which still act on a part where commands
+            are late, and between rows, where the measurement was lost.
+        jitter: Standard deviation of what is not known of each row's time [s].
     """
 
     name: str
@@ -44,7 +46,8 @@ class Recording:
     facts: Mapping[str, float] = field(default_factory=dict)
     device: str = ""
     cut_from: str = ""
-    earlier: tuple[Array, Array] | None = None
+    unread: tuple[Array, Array] | None = None
+    jitter: float = 0.0
 
     @property
     def rows(self) -> int:

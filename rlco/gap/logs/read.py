@@ -19,7 +19,8 @@ from rlco.gap.logs.lengths import to_metres
 from rlco.gap.logs.log import Log
 from rlco.gap.logs.matching import few
 from rlco.gap.logs.table import Table
-from rlco.gap.logs.timing import correct_timing
+from rlco.gap.logs.times.read_times import at_read_times
+from rlco.gap.logs.times.timing import correct_timing
 from rlco.gap.logs.units import to_radians
 from rlco.gap.model import LoadedModel
 
@@ -175,9 +176,10 @@ def _header_angles(tables: Sequence[Table]) -> str | None:
 
 
 def _corrected(log: Log) -> Log:
-    corrected = [correct_timing(recording) for recording in log.recordings]
+    timed, notes = at_read_times(log.recordings)
+    corrected = [correct_timing(recording) for recording in timed]
     parts = tuple(part for one in corrected for part in one.parts)
-    notes = [note for one in corrected for note in one.notes]
+    notes += [note for one in corrected for note in one.notes]
     if not parts:
         raise DataError(f"no part of the log is whole: {few(notes, 2)}")
     return replace(log, recordings=parts, notes=(*log.notes, *_few_notes(notes)))

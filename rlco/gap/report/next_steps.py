@@ -73,4 +73,9 @@ def next_steps(
         steps.append(_OTHERWISE[verdict.verdict])
         if motions:
             steps.append(_RECORD)
+    if verdict.free_form is not None:
+        steps.append(
+            f"Look at the torque at {verdict.free_form.target} that is drawn below; if "
+            "you know its shape, add it as an effect of your own."
+        )
     return steps

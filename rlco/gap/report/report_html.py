@@ -18,6 +18,7 @@ from rlco.gap.diagnose.traces import FigureData
 from rlco.gap.logs.log import Log
 from rlco.gap.report.compared import comparison_lines
 from rlco.gap.report.figures import gap_bars, heat_map, png, trace_figure
+from rlco.gap.report.free_form import free_form_section
 from rlco.gap.report.held_out import held_out_section
 from rlco.gap.report.next_steps import next_steps
 from rlco.gap.report.verdict_text import (
@@ -75,6 +76,7 @@ def page(source: Page) -> str:
         _traces(source),
         _where(source),
         _unexplained(source),
+        free_form_section(source.verdict.free_form, source.verdict.gap.unit),
         _next(source),
         _trail(source),
         _log(source),

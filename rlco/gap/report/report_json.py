@@ -9,6 +9,7 @@ import mujoco
 
 from rlco.gap.compare.problem import (
     Candidate,
+    FreeForm,
     Gap,
     HeldOut,
     Instability,
@@ -55,9 +56,24 @@ def report(
     }
     if verdict.held_out is not None:
         content["held_out"] = _held_out(verdict.held_out)
+    if verdict.free_form is not None:
+        content["outside"] = _outside(verdict.free_form)
     if verdict.remarks:
         content["remarks"] = list(verdict.remarks)
     return content
+
+
+def _outside(free: FreeForm) -> dict[str, object]:
+    lines = {
+        "position": free.over_position,
+        "velocity": free.over_velocity,
+        "time": free.over_time,
+    }
+    shape = {
+        f"over_{name}": {name: x.tolist(), "torque": y.tolist()}
+        for name, (x, y) in lines.items()
+    }
+    return {"target": free.target, "explains": free.gain, **shape}
 
 
 def _held_out(held_out: HeldOut) -> dict[str, object]:

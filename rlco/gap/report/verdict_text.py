@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
-from rlco.gap.compare.problem import HeldOut, NamedEffect, Verdict
+from rlco.gap.compare.problem import FreeForm, HeldOut, NamedEffect, Verdict
 from rlco.gap.compare.stability.instability import UNSTABLE, summary
 from rlco.gap.compare.wording import (
     amount,
@@ -17,7 +17,8 @@ from rlco.gap.compare.wording import (
     title_of,
 )
 from rlco.gap.diagnose.where import EVERYWHERE, Cell, Where
-from rlco.gap.search.verdict import LOUD
+from rlco.gap.search.judge import LOUD
+from rlco.gap.search.verdict import DOUBT
 from rlco.physics.effects import EFFECTS, Parameter
 
 #: Each verdict in plain English.
@@ -145,7 +146,7 @@ def headline(verdict: Verdict, where: Where | None = None) -> str:
     if verdict.effects:
         effects = listed([_missing(finding) for finding in verdict.effects])
         better = "" if verdict.complete else ", as far as the search got"
-        return f"Missing from the model: {effects}{better}."
+        return f"{_first(verdict)}Missing from the model: {effects}{better}."
     if not verdict.complete:
         return f"The search was stopped before naming anything: {residual} remain{at}."
     if verdict.verdict == "no_gap":
@@ -155,6 +156,19 @@ def headline(verdict: Verdict, where: Where | None = None) -> str:
     if verdict.verdict == "not_identifiable":
         return f"These recordings do not show what is missing: {residual} remain{at}."
     return f"Model and log disagree by {residual}{at}, and nothing here explains it."
+
+
+def _first(verdict: Verdict) -> str:
+    """Return what to know before the names: that something else is missing."""
+    gap, note = verdict.gap, str(verdict.unexplained.get("note"))
+    if is_loud(verdict) and DOUBT in note:
+        times = f"{gap.after_heldout / gap.noise_floor:.0f} times the noise"
+        after = amount(gap.after_heldout, gap.unit)
+        return f"Not the whole gap: {after} stay unexplained, {times}. "
+    if verdict.free_form is not None:
+        joint = verdict.free_form.target
+        return f"Something outside the library acts at {joint}, too, or instead. "
+    return ""
 
 
 def _missing(finding: NamedEffect) -> str:
@@ -171,6 +185,23 @@ def is_loud(verdict: Verdict) -> bool:
     """
     gap = verdict.gap
     return bool(verdict.effects) and gap.after_heldout > LOUD * gap.noise_floor
+
+
+def outside_line(free: FreeForm) -> str:
+    """Return in one sentence what acts outside the library.
+
+    Example:
+        >>> import numpy as np
+        >>> none = np.zeros((2, 1))
+        >>> outside_line(FreeForm("elbow", 0.4, none, none, none))
+        'A torque of some shape over position and velocity at elbow, besides, leaves \
+40 % less error in held-out recordings: something outside the library acts there.'
+    """
+    return (
+        f"A torque of some shape over position and velocity at {free.target}, besides, "
+        f"leaves {100 * free.gain:.0f} % less error in held-out recordings: something "
+        "outside the library acts there."
+    )
 
 
 def held_out_line(held_out: HeldOut, *, named: bool) -> str:
@@ -228,6 +259,8 @@ def certainty(verdict: Verdict) -> list[str]:
                 f"{capital(title(finding))}: the next best explanation, "
                 f"{title_of(name)}, leaves {more} in held-out recordings."
             )
+    if verdict.free_form is not None:
+        lines.append(outside_line(verdict.free_form))
     lines += verdict.remarks
     share, note = (verdict.unexplained.get(key) for key in ("share", "note"))
     if is_loud(verdict):

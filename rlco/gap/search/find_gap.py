@@ -15,8 +15,10 @@ from rlco.gap.search.servo.find_servo_gap import find_servo_gap
 from rlco.gap.search.state import State
 from rlco.gap.search.steps.closing import intervals, residual
 from rlco.gap.search.steps.drop import drop, drop_unobservable
+from rlco.gap.search.steps.elsewhere import elsewhere
 from rlco.gap.search.steps.exact_model import exact_model
 from rlco.gap.search.steps.forward import forward, screen, shortlist, swap, take
+from rlco.gap.search.steps.free_form import free_form
 from rlco.gap.search.steps.rivals import rivals
 from rlco.gap.search.steps.sensitivity import rewhiten
 from rlco.gap.search.steps.start import split, start
@@ -86,7 +88,8 @@ def search(first: State, on_step: Progress | None = None) -> tuple[State, bool]:
 def states(state: State) -> Iterator[State]:
     """Yield the state after each step of a search, until it ends."""
     state = yield from additions(state)
-    for step in (exact_model, rivals, intervals, residual):
+    state = yield from elsewhere(state, additions)
+    for step in (exact_model, rivals, intervals, residual, free_form):
         state = step(state)
         yield state
 

@@ -17,6 +17,7 @@ from rlco.physics.effects import AppliedEffect
 
 LARGEST = 4  # maximum number of effects
 NEAR_FLOOR = 1.3  # error over the noise floor above which something is missing
+LOUD = 3.0  # ratio to the noise floor that the tolerance does not explain either
 BETTER = 0.03  # share of the held-out error that an effect must remove
 ENOUGH = 0.5  # share of the gap that effects must explain to be named
 QUIET = ("no_gap", "no_improvement", "not_identifiable")

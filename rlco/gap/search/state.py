@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from rlco.gap.compare.problem import Candidate, Gap
+from rlco.gap.compare.problem import Candidate, FreeForm, Gap
 from rlco.gap.search.fit import Fit, fit
 from rlco.gap.search.screening import Screening
 from rlco.gap.search.setting import Scored, Setting
@@ -79,6 +79,7 @@ class State:
         rivals: Alternatives to each effect of `best`, once they were tried.
         widths: Half the width of the interval of each parameter of `best`.
         residual: The remaining gap.
+        free_form: A torque of free form that does clearly better than `best`.
     """
 
     setting: Setting
@@ -95,6 +96,7 @@ class State:
     rivals: tuple[Rivals, ...] = ()
     widths: tuple[float, ...] = ()
     residual: Residual | None = None
+    free_form: FreeForm | None = None
 
     @property
     def none(self) -> Scored:

@@ -14,6 +14,7 @@ from rlco.gap.compare.problem import (
     Verdict,
 )
 from rlco.gap.search.judge import (
+    LOUD,
     NAMED,
     NEAR_FLOOR,
     QUIET,
@@ -24,7 +25,6 @@ from rlco.gap.search.judge import (
 )
 from rlco.gap.search.state import Residual, Rivals, State
 
-LOUD = 3.0  # ratio to the noise floor that the tolerance does not explain either
 DOUBT = "more is missing than what is named, or something else"
 NOTHING_SEARCHED = "Nothing was searched: interrupted before any effect was fitted."
 
@@ -62,6 +62,7 @@ def conclude(state: State, *, complete: bool = True, seconds: float = 0.0) -> Ve
         train=state.setting.train,
         heldout=state.setting.heldout,
         trail=state.trail,
+        free_form=state.free_form,
     )
 
 

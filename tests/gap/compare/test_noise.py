@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -104,3 +106,16 @@ def test_each_joint_of_a_log_has_its_own() -> None:
         recordings.append(Recording(str(seed), time, clean + noise))
     log = Log(tuple(recordings), ("a", "b"))
     np.testing.assert_allclose(position_noise(log).deviation, sizes, rtol=0.2)
+
+
+def test_times_that_are_not_known_add_noise_in_motion() -> None:
+    time = np.arange(1000) * 0.02
+    random = np.random.default_rng(0)
+    still, moving = np.zeros(1000), 0.5 * np.sin(4.0 * time)
+    position = np.stack([still, moving], axis=1) + random.normal(0, 4e-4, (1000, 2))
+    recording = Recording("log", time, position)
+    known = position_noise(Log((recording,))).deviation
+    doubted = position_noise(Log((replace(recording, jitter=1e-3),))).deviation
+    assert doubted[0] == pytest.approx(known[0], rel=0.01)
+    # 2 rad/s at most, 2 / sqrt(2) in the mean square, times a millisecond.
+    assert doubted[1] == pytest.approx(np.hypot(known[1], 2e-3 / np.sqrt(2)), rel=0.02)

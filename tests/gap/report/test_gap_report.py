@@ -15,6 +15,7 @@ from small_verdicts import DAMPING, FRICTION, named, nothing_named
 
 from rlco.gap.compare.problem import (
     Candidate,
+    FreeForm,
     Hypothesis,
     NamedEffect,
     Value,
@@ -24,10 +25,12 @@ from rlco.gap.diagnose.regimes import label_regimes
 from rlco.gap.diagnose.traces import best_stretches, figure_data
 from rlco.gap.diagnose.where import where
 from rlco.gap.report.figures import gap_bars, heat_map, trace_figure
+from rlco.gap.report.free_form import free_form_figure, free_form_section
 from rlco.gap.report.report_html import Page, page
 from rlco.gap.report.report_json import report
 from rlco.gap.report.verdict_text import MEANING, certainty, headline, numbers_of
 from rlco.gap.search.find_gap import find_gap
+from rlco.gap.search.verdict import DOUBT
 from rlco.physics.effects import EFFECTS
 
 MOTION = {"motion": "slow triangle", "seconds": 20.0}
@@ -318,3 +321,34 @@ def test_joints_names_stand_whole_in_every_figure(problem: Arm) -> None:
     bars.canvas.draw()
     edges = [tick.get_window_extent().x0 for tick in bars.axes[0].get_xticklabels()]
     assert min(edges) >= 0
+
+
+def test_much_that_stays_is_said_before_the_names(problem: Arm) -> None:
+    verdict = named(problem)
+    gap = replace(verdict.gap, after_heldout=50.0 * verdict.gap.noise_floor)
+    doubted = {**verdict.unexplained, "note": f"It grows with speed; {DOUBT}"}
+    loud = replace(verdict, gap=gap, unexplained=doubted)
+    assert headline(loud).startswith(
+        "Not the whole gap: 20.0 mrad stay unexplained, 50 times the noise. Missing"
+    )
+    # A tolerance that explains as much raises no doubt.
+    assert headline(replace(verdict, gap=gap)).startswith("Missing from the model")
+
+
+def free_form() -> FreeForm:
+    knots = np.array([-1.0, 0.0, 1.0])
+    return FreeForm("elbow", 0.4, *(np.stack([k * knots, -knots]) for k in (1, 2, 9)))
+
+
+def test_what_acts_outside_the_library_is_said_and_drawn(problem: Arm) -> None:
+    verdict = replace(named(problem), free_form=free_form())
+    assert headline(verdict).startswith("Something outside the library acts at elbow")
+    assert "leaves 40 % less error" in " ".join(certainty(verdict))
+    outside = written(problem, verdict)["outside"]
+    assert outside["target"] == "elbow"
+    assert outside["over_velocity"] == {"velocity": [-2, 0, 2], "torque": [1, 0, -1]}
+    figure = free_form_figure(free_form(), "rad")
+    lines = [axes.lines[1].get_xydata() for axes in figure.axes]
+    assert [line[-1].tolist() for line in lines] == [[1, -1], [2, -1], [9, -1]]
+    assert "Outside the library, at elbow" in free_form_section(free_form(), "rad")
+    assert free_form_section(None, "rad") == ""

@@ -143,6 +143,27 @@ class ArmRollouts(Problem):
             ]
         )
 
+    def pushed(
+        self,
+        hypothesis: Hypothesis,
+        pushes: Sequence[Mapping[int, Array]],
+        recordings: Sequence[int],
+    ) -> Array:
+        """Return residuals (pushes, N) of recordings with additions to their commands.
+
+        Args:
+            hypothesis: What acts.
+            pushes: By recording, what is added to the commands as the actuators receive
+                them, (steps, nu).
+            recordings: Their residuals are returned, in the order of the layout.
+        """
+        segments = [one for one in self.segments if one.recording in recordings]
+        with silenced_warnings():
+            rows = self._pool.map(
+                lambda push: self.simulate(hypothesis, segments, push), pushes
+            )
+            return np.stack(list(rows))
+
     def traces(self, hypothesis: Hypothesis, recording: int) -> Mapping[str, Array]:
         """Return the signals of one recording, see `Problem.traces`."""
         log = self.log.recordings[recording]
@@ -169,7 +190,7 @@ class ArmRollouts(Problem):
 
     def runs(self, hypothesis: Hypothesis, recordings: Sequence[int]) -> list[Run]:
         """Return the rollouts of some recordings, see `Problem.runs`."""
-        model, effects = self._compiled(hypothesis), hypothesis.effects
+        model, effects = self.compiled(hypothesis), hypothesis.effects
         _, (positions, speeds) = _addresses(model, self.log.joints)
         found = []
         for segment in self.segments:
@@ -184,7 +205,8 @@ class ArmRollouts(Problem):
             found.append(Run(segment.recording, time, model, qpos, qvel, commands))
         return found
 
-    def _compiled(self, hypothesis: Hypothesis) -> mujoco.MjModel:
+    def compiled(self, hypothesis: Hypothesis) -> mujoco.MjModel:
+        """Return the model under a hypothesis."""
         spec = self.spec.copy()
         if hypothesis.spread:
             apply_tolerance(spec, self.tolerance_names, hypothesis.spread)
@@ -235,10 +257,21 @@ class ArmRollouts(Problem):
             units,
         )
 
-    def simulate(self, hypothesis: Hypothesis, segments: Sequence[Segment]) -> Array:
-        """Return measured minus simulated positions of the segments, in order, (N,)."""
+    def simulate(
+        self,
+        hypothesis: Hypothesis,
+        segments: Sequence[Segment],
+        push: Mapping[int, Array] | None = None,
+    ) -> Array:
+        """Return measured minus simulated positions of the segments, in order, (N,).
+
+        Args:
+            hypothesis: What acts.
+            segments: What is rolled out.
+            push: See `pushed`.
+        """
         effects, joints = hypothesis.effects, self.log.joints
-        model = self._compiled(hypothesis)
+        model = self.compiled(hypothesis)
         forces = step_forces(model, effects)
         data = mujoco.MjData(model)
         read, write = _addresses(model, joints)
@@ -249,6 +282,8 @@ class ArmRollouts(Problem):
             if index not in filtered:
                 sent = self._commands[index]
                 filtered[index] = apply_to_commands(sent, model, effects)
+                if push is not None and index in push:
+                    filtered[index] = filtered[index] + push[index]
             commands = filtered[index][segment.steps : segment.steps + segment.commands]
             start = true_positions(segment.state[0], joints, effects)
             mujoco.mj_resetData(model, data)

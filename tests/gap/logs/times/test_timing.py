@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from rlco.errors import DataError
 from rlco.gap.logs.log import Recording
-from rlco.gap.logs.timing import correct_timing, repeated_rows
+from rlco.gap.logs.times.repeated_rows import repeated_rows
+from rlco.gap.logs.times.timing import correct_timing
 
 
 def swing(time: np.ndarray) -> np.ndarray:
@@ -166,3 +167,12 @@ def test_other_channels_lose_the_same_rows() -> None:
     )
     np.testing.assert_array_equal(second.extra["volts"], np.arange(30.0, 50.0))
     np.testing.assert_array_equal(second.command[:, 0], np.arange(30.0, 50.0))
+
+
+def test_noise_of_several_readings_never_repeats_by_chance() -> None:
+    time = np.arange(300) * 0.02
+    noise = np.random.default_rng(0).normal(0.0, 4e-4, (300, 2))
+    position = 1e-3 * swing(time) + noise  # hardly moves, so that no jump shows
+    position[[50, 51, 200]] = position[[49, 49, 199]]
+    found = repeated_rows(Recording("log", time, position=position))
+    assert np.flatnonzero(found).tolist() == [50, 51, 200]

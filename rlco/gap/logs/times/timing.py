@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 
 from rlco.errors import DataError
 from rlco.gap.logs.log import Array, Recording
-from rlco.gap.logs.skipped_frames import resolution, skipped_frames
+from rlco.gap.logs.times.read_times import ROUNDING
+from rlco.gap.logs.times.repeated_rows import repeated_rows
+from rlco.gap.logs.times.skipped_frames import skipped_frames
 
 # Recordings are split at gaps longer than both: the commands meanwhile are unknown.
 _LONG_PERIODS = 5.0
@@ -19,9 +21,9 @@ _LONG_SECONDS = 0.05
 # A longer step than this many periods has lost a frame.
 _LOST = 1.8
 # ... unless that many do: then rows are uneven.
-_LOST_SHARE = 0.1
-# Times this near to even ones are even ones that were rounded, in periods.
-_ROUNDING = 2e-3
+_LOST_SHARE, _LOST_TICKS = 0.1, 0.3
+# Differences from whole periods, in periods, that rounding explains.
+_EVEN = 0.02
 # Worth a note, as a part of the period.
 _JITTER = 0.1
 # A piece between gaps needs this many rows to be of use.
@@ -40,7 +42,7 @@ def correct_timing(recording: Recording) -> Corrected:
 
     A row is a repetition where no measured number changed although the motion before
     and after says that they must have. Nothing is interpolated: uneven times stay as
-    they are, and each part starts at 0 s.
+    they are (see `rlco.gap.logs.times.read_times`), and each part starts at 0 s.
 
     Args:
         recording: T rows.
@@ -100,54 +102,34 @@ def _without_repeated(recording: Recording) -> tuple[Recording, list[str]]:
         f"{recording.name!r}: {int(repeated.sum())} of {len(repeated)} rows repeat the "
         "measurement before while the robot moves, and are dropped."
     )
-    return recording.take(~repeated), [note]
+    return replace(recording.take(~repeated), unread=_sent(recording, repeated)), [note]
+
+
+def _sent(
+    recording: Recording, repeated: NDArray[np.bool_]
+) -> tuple[Array, Array] | None:
+    """Return times and commands of repeated rows whose command is no repetition."""
+    sent = recording.command
+    if sent is None:
+        return None
+    fresh = repeated & np.r_[True, (sent[1:] != sent[:-1]).any(axis=1)]
+    return (recording.time[fresh], sent[fresh]) if fresh.any() else None
+
+
+def unread_between(
+    recording: Recording, start: float, end: float
+) -> tuple[Array, Array] | None:
+    """Return `Recording.unread` from one time to another, the first of them as zero."""
+    if recording.unread is None:
+        return None
+    time, sent = recording.unread
+    inside = (time >= start) & (time <= end)
+    return (time[inside] - start, sent[inside]) if inside.any() else None
 
 
 def period_of(time: Array) -> float:
     """Return the usual step between times [s]: their median difference."""
     return float(np.median(np.diff(time))) if len(time) > 1 else 0.0
-
-
-def repeated_rows(recording: Recording) -> NDArray[np.bool_]:
-    """Return which rows repeat the measurement before them while it moves, (T,).
-
-    Resting or sticking joints, and coarse encoders, rightly show the same numbers
-    again. A repetition differs from them in the jump that ends it: it makes good for
-    all the rows that were lost, at the speed before and after. Where most of a motion's
-    steps are followed by repetitions the sensor is read more often than it measures.
-    """
-    measured = (recording.position, recording.pose, recording.torque)
-    channels = [part for part in (*measured, recording.velocity) if part is not None]
-    stale = np.zeros(recording.rows, dtype=np.bool_)
-    if not channels or recording.rows < 5:
-        return stale
-    same = np.all([(p[1:] == p[:-1]).all(axis=1) for p in channels], axis=0)
-    first = np.flatnonzero(np.r_[True, ~same])
-    lost = np.diff(np.r_[first, recording.rows]) - 1
-    # Where a robot was says more steadily than its torques whether it moves.
-    steps = np.diff(channels[0][first], axis=0)
-    quantum = resolution(channels[0])
-    moving = (np.abs(steps) > 2.0 * quantum).any(axis=1)
-    usual = float(np.median(lost[:-1][moving])) if moving.any() else 0.0
-    for run in np.flatnonzero(lost):
-        slow_sensor = usual >= 1 and lost[run] <= 2.0 * usual
-        inside = 0 < run < len(steps) - 1
-        if slow_sensor or (inside and _makes_good(steps, run, quantum, lost[run])):
-            stale[first[run] + 1 : first[run] + 1 + lost[run]] = True
-    return stale
-
-
-def _makes_good(steps: Array, run: int, quantum: Array, lost: int) -> bool:
-    """Whether a step makes up for lost rows of a steady motion."""
-    near = [*range(max(run - 4, 0), run), *range(run + 1, min(run + 5, len(steps)))]
-    # Some of the steps near may have lost rows as well, and be longer for it.
-    speed = np.sign(steps[run - 1]) * np.percentile(np.abs(steps[near]), 25, axis=0)
-    steady = (steps[run - 1] * steps[run + 1] > 0) & (np.abs(speed) > 2.0 * quantum)
-    if not steady.any():
-        return False
-    jump, usual = steps[run][steady], speed[steady]
-    short = np.abs(jump - usual).sum()
-    return bool(np.abs(jump - (lost + 1) * usual).sum() < short)
 
 
 def _refuse_backwards(name: str, time: Array) -> None:
@@ -176,30 +158,49 @@ def _evened(time: Array) -> Array:
         return time
     period = float(time[-1]) / (len(time) - 1)
     even = np.arange(len(time), dtype=float) * period
-    return even if np.abs(time - even).max() <= _ROUNDING * period else time
+    return even if np.abs(time - even).max() <= ROUNDING * period else time
 
 
 def _unevenness(name: str, time: Array) -> list[str]:
     period, steps = period_of(time), np.diff(time)
     if not period:
         return []
-    gaps = (steps > _LOST * period) & ~_is_long(steps, period)
-    if gaps.mean() > _LOST_SHARE:
-        gaps[:] = False
-    jitter = float(steps[~gaps & ~_is_long(steps, period)].std())
+    lost = missing_frames(time)
+    jitter = float(steps[(lost == 0) & ~_is_long(steps, period)].std())
     notes = []
     if jitter > _JITTER * period:
         notes.append(
             f"{name!r}: rows are uneven, {1e3 * period:.1f} ms apart with a jitter of "
             f"{1e3 * jitter:.1f} ms; their times are used as they are."
         )
-    if gaps.any():
-        lost = int(np.rint(steps[gaps] / period - 1.0).sum())
+    if lost.any():
         notes.append(
-            f"{name!r}: {lost} frames are missing in {int(gaps.sum())} places, at most "
-            f"{1e3 * steps[gaps].max():.0f} ms apart; the command before holds there."
+            f"{name!r}: {lost.sum()} frames are missing in {np.count_nonzero(lost)} "
+            f"places, at most {1e3 * steps[lost > 0].max():.0f} ms apart."
         )
     return notes
+
+
+def is_even(time: Array) -> bool:
+    """Return whether times are multiples of one period, some of which may be left."""
+    ticks = np.diff(time) / period_of(time)
+    return bool(np.abs(ticks - np.round(ticks)).max(initial=0.0) < _EVEN)
+
+
+def missing_frames(time: Array) -> NDArray[np.int64]:
+    """Return how many frames are missing after each row but the last, (T - 1,).
+
+    None are where so many would be that the rows are uneven instead. On the ticks of a
+    clock, which `is_even` tells, more may be.
+    """
+    period, steps = period_of(time), np.diff(time)
+    if not period:
+        return np.zeros(len(steps), dtype=np.int64)
+    gaps = (steps > _LOST * period) & ~_is_long(steps, period)
+    if gaps.mean() > (_LOST_TICKS if is_even(time) else _LOST_SHARE):
+        gaps[:] = False
+    lost = np.rint(steps / period - 1.0).astype(np.int64)
+    return np.where(gaps, lost, 0)
 
 
 def _is_long(steps: Array, period: float) -> NDArray[np.bool_]:
@@ -220,8 +221,15 @@ def _split(recording: Recording) -> tuple[tuple[Recording, ...], list[str]]:
             short += last - first
             continue
         part = recording.take(slice(first, last))
-        named = f"{name} part {number + 1}"
-        parts.append(replace(part, name=named, time=part.time - part.time[0]))
+        start, end = part.time[0], part.time[-1]
+        parts.append(
+            replace(
+                part,
+                name=f"{name} part {number + 1}",
+                time=part.time - start,
+                unread=unread_between(recording, start, end),
+            )
+        )
     notes = [
         f"{name!r} has a gap of {steps[gap]:.2f} s after {time[gap]:.2f} s: it is "
         "split there."

@@ -1,0 +1,65 @@
+"""Doubt by a torque of any shape: what the library lacks, where, and how it looks."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from hidden_arms import TURNTABLES, Act, Hide, record
+
+from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.compare.problem import FreeForm, Verdict
+from rlco.gap.search.find_gap import find_gap
+
+pytestmark = pytest.mark.slow
+# Damping alone: what else a search could name is not the matter here.
+OTHERS = ("viscous_damping", "actuator_gain")
+
+
+def _damped(model: mujoco.MjModel) -> None:
+    model.dof_damping[1] += 0.6
+
+
+def _hardening(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """A spring that grows with the cube of the angle, in no library."""
+    data.qfrc_applied[0] = -(data.qpos[0] ** 3)
+
+
+def _found(hide: Hide | None, act: Act | None) -> Verdict:
+    log = record(hide, act, xml=TURNTABLES, episodes=6)
+    problem = ArmRollouts(mujoco.MjSpec.from_string(TURNTABLES), log, np.full(2, 4e-4))
+    every = {one.name for one in problem.candidates()}
+    return find_gap(problem, exclude=every - set(OTHERS))
+
+
+@pytest.fixture(scope="module")
+def doubted() -> FreeForm:
+    found = _found(_damped, _hardening)
+    assert ("viscous_damping", "elbow") in {(e.name, e.target) for e in found.effects}
+    assert found.free_form is not None
+    return found.free_form
+
+
+def test_what_is_outside_is_told_at_its_joint(doubted: FreeForm) -> None:
+    assert doubted.target == "shoulder"
+    assert doubted.gain > 0.25
+
+
+def test_its_shape_is_what_was_hidden(doubted: FreeForm) -> None:
+    angle, torque = doubted.over_position
+    hidden = -(angle**3)
+    np.testing.assert_allclose(torque, hidden, atol=0.3 * np.abs(hidden).max())
+    assert np.corrcoef(torque, hidden)[0, 1] > 0.95
+
+
+def test_over_time_it_comes_and_goes_with_the_motion(doubted: FreeForm) -> None:
+    time, torque = doubted.over_time
+    # Six recordings of four seconds, one after the other.
+    assert 20.0 < time[-1] - time[0] <= 24.0
+    assert torque.min() < -0.02 < 0.02 < torque.max()
+
+
+def test_right_names_raise_no_doubt() -> None:
+    found = _found(_damped, None)
+    assert [(e.name, e.target) for e in found.effects] == [("viscous_damping", "elbow")]
+    assert found.free_form is None
