@@ -17,6 +17,7 @@ from rlco.gap.search.steps.closing import intervals, residual
 from rlco.gap.search.steps.drop import drop, drop_unobservable
 from rlco.gap.search.steps.exact_model import exact_model
 from rlco.gap.search.steps.forward import forward, screen, shortlist, swap, take
+from rlco.gap.search.steps.plain_shares import plain_shares
 from rlco.gap.search.steps.rivals import rivals
 from rlco.gap.search.steps.sensitivity import rewhiten
 from rlco.gap.search.steps.start import split, start
@@ -55,7 +56,7 @@ def find_gap(
             return find_servo_gap(problem, exclude=exclude, on_step=on_step)
         state = start(problem, spread=spread, exclude=exclude)
     except KeyboardInterrupt:
-        return _nothing_searched(problem, time.perf_counter() - began)
+        return nothing_searched(problem, time.perf_counter() - began)
     except UnstableModelError as error:
         seconds = time.perf_counter() - began
         return unstable_verdict(problem, error.instability, *split(problem), seconds)
@@ -86,7 +87,7 @@ def search(first: State, on_step: Progress | None = None) -> tuple[State, bool]:
 def states(state: State) -> Iterator[State]:
     """Yield the state after each step of a search, until it ends."""
     state = yield from additions(state)
-    for step in (exact_model, rivals, intervals, residual):
+    for step in (exact_model, rivals, intervals, plain_shares, residual):
         state = step(state)
         yield state
 
@@ -126,7 +127,7 @@ def progress(state: State) -> tuple[str, float]:
     return ", ".join(names) or "nothing", done
 
 
-def _nothing_searched(problem: Problem, seconds: float) -> Verdict:
+def nothing_searched(problem: Problem, seconds: float) -> Verdict:
     """Return a verdict that names nothing, with the initial disagreement."""
     rows = problem.residuals([Hypothesis()])[0]
     noise = np.asarray(problem.noise)[problem.layout.channel]

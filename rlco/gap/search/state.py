@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from rlco.gap.compare.problem import Candidate, Gap
 from rlco.gap.search.fit import Fit, fit
@@ -79,6 +79,8 @@ class State:
         rivals: Alternatives to each effect of `best`, once they were tried.
         widths: Half the width of the interval of each parameter of `best`.
         residual: The remaining gap.
+        plain: Share of the gap that single effects explain without any tolerance,
+            where nothing is named.
     """
 
     setting: Setting
@@ -95,6 +97,7 @@ class State:
     rivals: tuple[Rivals, ...] = ()
     widths: tuple[float, ...] = ()
     residual: Residual | None = None
+    plain: Mapping[Candidate, float] = field(default_factory=dict)
 
     @property
     def none(self) -> Scored:

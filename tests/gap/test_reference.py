@@ -1,0 +1,163 @@
+"""What changed between two recordings of a robot whose model is wrong everywhere."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import mujoco
+import numpy as np
+import pytest
+from recorded_torques import (
+    XML,
+    Array,
+    loaded_hand,
+    record_torques,
+    wrong_everywhere,
+)
+
+from rlco.errors import DataError, RlcoError, UnknownNameError
+from rlco.gap import run_gap
+from rlco.gap.compare.problem import Verdict
+from rlco.gap.logs.log import Log
+from rlco.gap.model import LoadedModel, load_model
+from rlco.gap.reference import calibrates, prepare, search
+
+
+@pytest.fixture(scope="module")
+def arm(tmp_path_factory: pytest.TempPathFactory) -> LoadedModel:
+    path = tmp_path_factory.mktemp("arm") / "arm.xml"
+    path.write_text(XML)
+    return load_model(path)
+
+
+@pytest.fixture(scope="module")
+def before() -> Log:
+    return record_torques(wrong_everywhere, seed=1)
+
+
+def changed(arm: LoadedModel, before: Log, after: Log) -> Verdict:
+    prepared = prepare(arm, after, before, None, 1, lambda said, part: None)
+    return search(prepared)[0]
+
+
+def named(verdict: Verdict) -> list[tuple[str, str | None]]:
+    return [(one.name, one.target) for one in verdict.effects]
+
+
+def test_a_load_is_named_though_all_numbers_of_the_model_are_wrong(
+    arm: LoadedModel, before: Log
+) -> None:
+    after = record_torques(wrong_everywhere, loaded_hand, seed=3)
+    verdict = changed(arm, before, after)
+    assert named(verdict) == [("payload", "lower")]
+    mass = verdict.effects[0].parameters["mass"]
+    assert mass.value == pytest.approx(0.1, rel=0.15)
+
+
+def test_a_factor_of_a_torque_is_named_and_not_converted(
+    arm: LoadedModel, before: Log
+) -> None:
+    def in_other_units(torque: Array) -> None:
+        torque[:, 1] *= 30.0
+
+    verdict = changed(
+        arm, before, record_torques(wrong_everywhere, seed=4, read=in_other_units)
+    )
+    assert named(verdict) == [("torque_scale", "elbow")]
+    factor = verdict.effects[0].parameters["factor"]
+    assert factor.value == pytest.approx(30.0, rel=0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(10))
+def test_nothing_is_named_where_nothing_changed(arm: LoadedModel, seed: int) -> None:
+    first, second = (
+        record_torques(wrong_everywhere, seed=100 + 2 * seed + late)
+        for late in range(2)
+    )
+    verdict = changed(arm, first, second)
+    assert not verdict.effects
+    assert verdict.verdict == "no_change"
+
+
+def write_csv(log: Log, folder: Path) -> Path:
+    """Write a log of torques, one file a recording."""
+    folder.mkdir()
+    header = "time,q.shoulder,q.elbow,tau.shoulder,tau.elbow"
+    for one in log.recordings:
+        rows = np.column_stack(
+            [one.time, np.asarray(one.position), np.asarray(one.torque)]
+        )
+        path = folder / f"{one.name}.csv"
+        np.savetxt(path, rows, delimiter=",", header=header, comments="")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def files(before: Log, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recordings")
+    (folder / "arm.xml").write_text(XML)
+    write_csv(before, folder / "before")
+    after = record_torques(wrong_everywhere, loaded_hand, seed=3)
+    write_csv(after, folder / "after")
+    return folder
+
+
+def test_reports_show_before_after_and_the_difference(
+    files: Path, tmp_path: Path
+) -> None:
+    finding = run_gap(
+        files / "arm.xml", files / "after", reference=files / "before", threads=1
+    )
+    page = finding.write(tmp_path / "report").read_text("utf-8")
+    assert "Before, after, and the difference" in page
+    content = json.loads((tmp_path / "report" / "report.json").read_text())
+    assert [one["name"] for one in content["effects"]] == ["payload"]
+    assert not content["effects"][0]["calibrated"]
+    for row in content["reference"]["channels"]:
+        assert row["calibrated_rms"] < 0.2 * row["nominal_rms"]
+        assert row["difference_left_rms"] < 0.5 * row["difference_rms"]
+    # The corrected model is the robot as it is now, with what was wrong before.
+    model = mujoco.MjModel.from_xml_path(str(tmp_path / "report" / "model.xml"))
+    assert model.dof_frictionloss[0] == pytest.approx(0.05, abs=0.015)
+    assert model.body_mass.sum() > mujoco.MjModel.from_xml_string(XML).body_mass.sum()
+
+
+def test_an_interruption_of_the_calibration_is_told_as_nothing_searched(
+    files: Path,
+) -> None:
+    def stop(said: str, part: float) -> None:
+        if said.startswith("calibrating"):
+            raise KeyboardInterrupt
+
+    finding = run_gap(
+        files / "arm.xml",
+        files / "after",
+        reference=files / "before",
+        threads=1,
+        progress=stop,
+    )
+    assert not finding.complete
+    assert finding.verdict.verdict == "unexplained"
+    note = str(finding.verdict.unexplained["note"])
+    assert note.startswith("Nothing was searched")
+
+
+def test_two_robots_are_refused(arm: LoadedModel, before: Log) -> None:
+    from dataclasses import replace
+
+    other = replace(before, joints=("shoulder", "wrist"))
+    with pytest.raises(DataError, match="two recordings of one robot"):
+        changed(arm, before, other)
+
+
+def test_options_that_contradict_each_other_are_refused() -> None:
+    assert not calibrates(None, False, None)
+    assert calibrates(None, True, None)
+    with pytest.raises(UnknownNameError, match="usual"):
+        calibrates("ususal", False, None)
+    with pytest.raises(RlcoError, match="leave calibrate= out"):
+        calibrates("none", True, None)
+    with pytest.raises(RlcoError, match="compare=positions"):
+        calibrates("usual", False, "both")
