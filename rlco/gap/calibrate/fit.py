@@ -171,7 +171,9 @@ def _seen_by_torque(problem: ArmRollouts, numbers: Sequence[Number]) -> Array:
         every = max(1, one.rows // 100)
         found = smooth_motion(one.time, np.asarray(one.position), _SMOOTH)
         parts.append([part[::every] for part in found])
-    motion = tuple(np.concatenate([part[i] for part in parts]) for i in range(3))
+    position, velocity, acceleration = (
+        np.concatenate([part[i] for part in parts]) for i in range(3)
+    )
     stiffness = np.full(len(joints), np.inf)
     for column, joint in enumerate(joints):
         actuator = actuator_of(model, joint)
@@ -187,6 +189,7 @@ def _seen_by_torque(problem: ArmRollouts, numbers: Sequence[Number]) -> Array:
         spec = problem.spec.copy()
         spec.option.disableflags |= _UNCONSTRAINED
         apply_to_spec(spec, effects_of(model, numbers, amounts))
+        motion = position, velocity, acceleration
         return inverse_dynamics(spec.compile(), dofs, motion)[0]
 
     at, step = torque(np.zeros(len(numbers))), 0.3
@@ -211,7 +214,7 @@ class _Fit:
         self.problem, self.numbers, self.basis = problem, numbers, basis
         self.recordings = recordings
         layout = problem.layout
-        self.near = np.isin(layout.recording, recordings)
+        self.near = np.flatnonzero(np.isin(layout.recording, recordings))
         self.scale = problem.noise[layout.channel[self.near]]
         self.amounts = np.zeros(basis.shape[1]) if amounts is None else amounts
         low = np.array([one.low for one in numbers])
@@ -251,7 +254,7 @@ class _Fit:
             [weight[:, None] * self.jacobian, np.eye(len(self.amounts))]
         )
         goal = np.concatenate([-weight * self.residual, -self.amounts])
-        triangle = np.linalg.qr(np.column_stack([rows, goal]), mode="r")
+        _, triangle = np.linalg.qr(np.column_stack([rows, goal]))
         low = np.minimum(self.low - self.amounts, -1e-9)
         most = np.full(len(low), np.inf)
         whole = lsq_linear(triangle[:, :-1], triangle[:, -1], (low, most)).x
@@ -273,8 +276,8 @@ class _Fit:
     def weights(self) -> Array:
         """Return one over the noise or the channel's residual, where larger, (N,)."""
         channel = self.problem.layout.channel[self.near]
-        squares = np.bincount(channel, weights=self.residual**2)
-        squares /= np.maximum(np.bincount(channel), 1)
+        counts = np.maximum(np.bincount(channel), 1)
+        squares = np.bincount(channel, weights=self.residual**2) / counts
         return np.asarray(1.0 / np.sqrt(np.maximum(squares, 1.0)))[channel]
 
     def length(self) -> float:

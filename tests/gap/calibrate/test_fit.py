@@ -73,5 +73,5 @@ def test_of_rollouts_only_link_numbers_that_matter_are_fitted() -> None:
     # Five numbers a joint; each link about a vertical axis has one inertia.
     assert fitted.basis.shape[1] <= 2 * 5 + 2 * 3
     assert found(fitted, "viscous_damping", "shoulder", "damping") == pytest.approx(
-        0.6, rel=0.1
+        0.6, rel=0.25
     )

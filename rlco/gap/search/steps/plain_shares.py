@@ -45,7 +45,7 @@ def plain_shares(state: State) -> State:
     likely = list(starts.values())[:TRIED]
     fits = fit(subset.library, likely, subset.whiten, steps=_STEPS)
     none, plain = bare.none, dict[Candidate, float]()
-    for one in bare.setting.score([f for f in fits if f.cost < at.cost]):
-        (name,) = one.names
-        plain[name] = 1.0 - residual_share(none, one)
+    for scored in bare.setting.score([f for f in fits if f.cost < at.cost]):
+        (name,) = scored.names
+        plain[name] = 1.0 - residual_share(none, scored)
     return replace(state, plain=plain)
