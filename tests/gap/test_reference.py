@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
+from hidden_arms import TWO_LINKS, commands, record
 from recorded_torques import (
     XML,
     Array,
@@ -15,11 +17,12 @@ from recorded_torques import (
     record_torques,
     wrong_everywhere,
 )
+from small_problems import BALL
 
 from rlco.errors import DataError, RlcoError, UnknownNameError
 from rlco.gap import run_gap
 from rlco.gap.compare.problem import Verdict
-from rlco.gap.logs.log import Log
+from rlco.gap.logs.log import Log, Recording
 from rlco.gap.model import LoadedModel, load_model
 from rlco.gap.reference import calibrates, prepare, search
 
@@ -144,9 +147,39 @@ def test_an_interruption_of_the_calibration_is_told_as_nothing_searched(
     assert note.startswith("Nothing was searched")
 
 
-def test_two_robots_are_refused(arm: LoadedModel, before: Log) -> None:
-    from dataclasses import replace
+@pytest.mark.slow
+def test_a_delay_is_named_in_positions_and_in_nothing_else(tmp_path: Path) -> None:
+    path = tmp_path / "arm.xml"
+    path.write_text(TWO_LINKS)
+    loaded = load_model(path)
+    first = record(wrong_everywhere, episodes=3)
+    later = record(wrong_everywhere, episodes=3, motion=lambda i: commands(50 + i))
+    # Logged two rows before they reach the servos.
+    late = replace(
+        later,
+        recordings=tuple(
+            replace(one.take(slice(0, -2)), command=np.asarray(one.command)[2:])
+            for one in later.recordings
+        ),
+    )
+    assert changed(loaded, first, later).verdict == "no_change"
+    verdict = changed(loaded, first, late)
+    assert named(verdict) == [("command_delay", None)]
+    delay = verdict.effects[0].parameters["delay"].value
+    assert delay == pytest.approx(0.04, rel=0.1)
 
+
+def test_what_cannot_be_calibrated_is_refused_in_a_sentence(tmp_path: Path) -> None:
+    path = tmp_path / "ball.xml"
+    path.write_text(BALL)
+    pose = np.tile([0.0, 0.0, 1.0, 1.0, 0.0, 0.0, 0.0], (50, 1))
+    toss = Recording("toss", 0.01 * np.arange(50), pose=pose)
+    log = Log((toss,), body="ball")
+    with pytest.raises(DataError, match="reference= needs recordings of commands"):
+        changed(load_model(path), log, log)
+
+
+def test_two_robots_are_refused(arm: LoadedModel, before: Log) -> None:
     other = replace(before, joints=("shoulder", "wrist"))
     with pytest.raises(DataError, match="two recordings of one robot"):
         changed(arm, before, other)

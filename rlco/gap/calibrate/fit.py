@@ -242,7 +242,8 @@ class _Fit:
     def differentiate(self) -> None:
         steps = _DIFFERENCE * np.eye(len(self.amounts))
         rows = self.rows([self.amounts + step for step in steps])
-        rows = np.where(np.isfinite(rows).all(axis=1)[:, None], rows, self.residual)
+        fine = np.asarray(np.isfinite(rows).all(axis=1))
+        rows = np.where(fine[:, None], rows, self.residual)
         self.jacobian = (rows - self.residual).T / _DIFFERENCE
 
     def step(self) -> float:
