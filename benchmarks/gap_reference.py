@@ -51,6 +51,7 @@ SMOOTH = replace(
     noise=1e-4,
     quantum=0.0,
     jitter=0.0,
+    velocity=True,
 )
 _SHORT = 5e-4  # [s]
 _TORQUE_NOISE = 0.01  # of a joint's usual torque
