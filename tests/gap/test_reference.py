@@ -17,6 +17,7 @@ from recorded_torques import (
     record_torques,
     wrong_everywhere,
 )
+from recipe_cases import start
 from small_problems import BALL
 
 from rlco.errors import DataError, RlcoError, UnknownNameError
@@ -125,6 +126,29 @@ def test_reports_show_before_after_and_the_difference(
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "report" / "model.xml"))
     assert model.dof_frictionloss[0] == pytest.approx(0.05, abs=0.015)
     assert model.body_mass.sum() > mujoco.MjModel.from_xml_string(XML).body_mass.sum()
+
+
+@pytest.mark.slow
+def test_the_recipe_tells_calibration_and_finding_apart(
+    files: Path, tmp_path: Path
+) -> None:
+    model, out = f"model={files / 'arm.xml'}", tmp_path / "usual"
+    start(
+        "find_gap", model, f"data={files / 'before'}", "calibrate=usual", f"out={out}"
+    )
+    content = json.loads((out / "report.json").read_text())
+    assert "reference" not in content
+    assert all(one["calibrated"] for one in content["effects"])
+    for row in content["calibration"]["channels"]:
+        assert row["calibrated_rms"] < 0.3 * row["nominal_rms"]
+    numbers = content["calibration"]["numbers"]
+    away = [abs(one["prior_deviations"]) for one in numbers]
+    assert away == sorted(away, reverse=True)
+    assert "<h2>Calibration</h2>" in (out / "report.html").read_text("utf-8")
+    before, after = f"reference={files / 'before'}", f"data={files / 'after'}"
+    start("find_gap", model, before, after, f"out={tmp_path / 'changed'}")
+    content = json.loads((tmp_path / "changed" / "report.json").read_text())
+    assert [one["name"] for one in content["effects"]] == ["payload"]
 
 
 def test_an_interruption_of_the_calibration_is_told_as_nothing_searched(
