@@ -69,7 +69,11 @@ class Plant:
 
 
 def make_plant(
-    xml: str, hidden: Sequence[Hidden], jitter: float = 0.0, seed: int = 0
+    xml: str,
+    hidden: Sequence[Hidden],
+    jitter: float = 0.0,
+    seed: int = 0,
+    off: tuple[float, float] | None = None,
 ) -> Plant:
     """Return the model with the effects in it, and numbers that are a little off.
 
@@ -78,6 +82,7 @@ def make_plant(
         hidden: What it lacks.
         jitter: Standard deviation of each number, as a part of its value.
         seed: Of the jitter.
+        off: Each number is instead so far off, at least and at most, up or down.
     """
     nominal = mujoco.MjModel.from_xml_string(xml)
     joints = tuple(nominal.joint(i).name for i in range(nominal.njnt))
@@ -91,7 +96,7 @@ def make_plant(
         spring = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, f"{joint}_spring")
         if spring >= 0:
             plant.springs[joint] = int(model.jnt_qposadr[spring])
-    _scatter(nominal, plant, jitter, seed)
+    _scatter(nominal, plant, jitter, seed, off)
     for effect in hidden:
         _write(plant, effect)
     mujoco.mj_setConst(model, mujoco.MjData(model))
@@ -130,11 +135,19 @@ def _with_spring(xml: str, effect: Hidden) -> str:
     raise LookupError(f"no body turns about {effect.target!r}")
 
 
-def _scatter(nominal: mujoco.MjModel, plant: Plant, jitter: float, seed: int) -> None:
+def _scatter(
+    nominal: mujoco.MjModel,
+    plant: Plant,
+    jitter: float,
+    seed: int,
+    off: tuple[float, float] | None,
+) -> None:
     """Multiply masses, inertias, damping, armature and gains by 1 + N(0, jitter)."""
     model, random = plant.model, np.random.default_rng(seed)
 
     def factor(size: int = 1) -> Any:
+        if off is not None:
+            return 1.0 + random.choice([-1.0, 1.0], size) * random.uniform(*off, size)
         return 1.0 + jitter * random.standard_normal(size)
 
     for number in range(1, nominal.nbody):

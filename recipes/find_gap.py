@@ -5,6 +5,7 @@
     uv run recipes/find_gap.py model=arm.xml data=logs rename=j1:joint1,j2:joint2 out=r
     uv run recipes/find_gap.py model=arm.xml data=new check=gap/effects.yaml out=check
     uv run recipes/find_gap.py model=bam:xl330 data=bam_logs out=servo_report
+    uv run recipes/find_gap.py model=arm.xml reference=before data=after out=changed
 
 Into `out` it writes report.html for people, report.json for programs, model.xml and
 model.diff with what was found in the model, and effects.yaml, a domain for
@@ -57,6 +58,16 @@ class Config:
         "search of its own; null: positions where there are commands, and torques as a "
         "check",
     )
+    reference: str | None = option(
+        None,
+        "recordings of the same robot before something was added, repaired, worn or "
+        "moved: names what changed since",
+    )
+    calibrate: Literal["none", "usual"] | None = option(
+        None,
+        "usual: fit first what is always a little wrong (friction, damping, inertias, "
+        "gains), then name what is left; null: usual with reference=, else none",
+    )
     check: str | None = option(
         None,
         "an effects.yaml found earlier: compare these recordings without and with it; "
@@ -91,6 +102,8 @@ def main(config: Config) -> None:
                 angles=config.angles,
                 spread=config.spread,
                 compare=config.compare,
+                reference=config.reference,
+                calibrate=config.calibrate,
                 effects_code=config.effects_code or config.effects,
                 threads=config.threads,
                 progress=progress,
@@ -108,6 +121,8 @@ def check(config: Config, effects: str) -> None:
 
     if config.compare == "both":
         raise ConfigError(["check= compares one quantity; give positions or torques"])
+    if config.reference is not None or config.calibrate == "usual":
+        raise ConfigError(["check= fits nothing; leave reference= and calibrate= out"])
     with new_folder(config.out) as out:
         found = check_effects(
             config.model,

@@ -10,13 +10,20 @@ from pathlib import Path
 from typing import Any
 
 from rlco.errors import DataError, OutputExistsError
+from rlco.gap.calibrate.summary import Before, Summary
 from rlco.gap.compare.comparisons import (
     Comparison,
     chosen,
     first_lines,
     warned,
 )
-from rlco.gap.compare.problem import Gap, NamedEffect, Problem, Verdict
+from rlco.gap.compare.problem import (
+    Gap,
+    Hypothesis,
+    NamedEffect,
+    Problem,
+    Verdict,
+)
 from rlco.gap.compare.torque.check import carried_over, check_gap
 from rlco.gap.compare.torque.convention import torque_problem
 from rlco.gap.compare.torque.held_commands import effort_jumps, warning
@@ -36,6 +43,12 @@ from rlco.gap.make_problem import (
     make_problem,
 )
 from rlco.gap.model import LoadedModel, load_model
+from rlco.gap.reference import calibrates, prepare, search
+from rlco.gap.report.calibration import (
+    calibration_json,
+    effects_json,
+    reference_json,
+)
 from rlco.gap.report.compared import compared_json, comparison_lines
 from rlco.gap.report.report_json import report
 from rlco.gap.report.verdict_text import verdict_lines, where_lines
@@ -80,6 +93,8 @@ class Finding:
         complete: False where it was interrupted: this is the best so far.
         comparisons: All comparisons and their results, that of `verdict` first.
         compared: The same in sentences, with what was left out and why.
+        calibration: What a calibration fitted before the search; None without one.
+        before: What is known from recordings made before; None without any.
     """
 
     verdict: Verdict
@@ -93,11 +108,23 @@ class Finding:
     complete: bool
     comparisons: tuple[Comparison, ...] = ()
     compared: tuple[str, ...] = ()
+    calibration: Summary | None = None
+    before: Before | None = None
 
     @property
     def effects(self) -> tuple[NamedEffect, ...]:
-        """The missing effects, with their parameters and rivals."""
-        return self.verdict.effects
+        """The missing effects, with their parameters and rivals.
+
+        Those that a calibration found beyond what is usual come last.
+        """
+        return (*self.verdict.effects, *self.beyond)
+
+    @property
+    def beyond(self) -> tuple[NamedEffect, ...]:
+        """What a calibration of these recordings found beyond what is usual."""
+        if self.calibration is None or self.before is not None:
+            return ()
+        return self.calibration.named(self.model.model)
 
     @property
     def gap(self) -> Gap:
@@ -147,6 +174,12 @@ class Finding:
         content = report(self.verdict, self.where, self.model.model, rows)
         content |= compared_json(self.comparisons, self.model.model)
         content["doubtful"] = self.doubtful
+        model = self.model.model
+        if self.calibration is not None:
+            content["calibration"] = calibration_json(self.calibration, model)
+            content |= effects_json(self.verdict.effects, self.beyond, model)
+        if self.calibration is not None and self.before is not None:
+            content["reference"] = reference_json(self.calibration, self.before)
         # First the file for programs, so that no later failure can lose it.
         write_json(folder / "report.json", content)
         files = FILES
@@ -158,7 +191,7 @@ class Finding:
             write_servo(self.model, self.verdict, folder)
             files = FILES | SERVO_FILES
         else:
-            write_corrected(self.model, self.verdict, folder)
+            write_corrected(self.model, self._corrected(), folder)
         source = Page(
             self.verdict,
             self.figures,
@@ -169,9 +202,19 @@ class Finding:
             self.comparisons,
             self.compared,
             self.model.model,
+            self.calibration,
+            self.before,
+            self.beyond,
         )
         write_text(folder / "report.html", page(source))
         return folder / "report.html"
+
+    def _corrected(self) -> Verdict:
+        """Return the verdict with the calibration among its effects."""
+        if self.calibration is None:
+            return self.verdict
+        found = (*self.calibration.effects, *self.verdict.hypothesis.effects)
+        return replace(self.verdict, hypothesis=Hypothesis(found))
 
 
 def run_gap(
@@ -185,6 +228,8 @@ def run_gap(
     effects_code: str | Path | None = None,
     exclude: Collection[str] = (),
     compare: str | None = None,
+    reference: str | Path | None = None,
+    calibrate: str | None = None,
     threads: int = 2,
     progress: Progress | None = None,
 ) -> Finding:
@@ -207,6 +252,10 @@ def run_gap(
             ``both``, each in a search of its own. None compares positions where there
             are commands, and checks the named effects against torques; without
             commands it compares torques.
+        reference: Recordings of the same robot before something in it changed: names
+            what changed. Calibrates the model with them.
+        calibrate: ``usual`` fits first what is always a little wrong, under priors, and
+            names what is left; ``none`` does not. None: ``usual`` with a reference.
         threads: Number of parallel simulations.
         progress: Called with a sentence and the fraction done, from 0 to 1.
 
@@ -222,12 +271,26 @@ def run_gap(
     """
     began = time.perf_counter()
     say = progress or (lambda said, part: None)
+    usual = calibrates(calibrate, reference is not None, compare)
     load_code(effects_code)
     loaded = load_model(model)
     recordings = read_log(data, loaded, rename=rename, scale=scale, angles=angles)
     asked, beside = chosen(recordings, compare)
-    problem = make_problem(loaded, recordings, threads=threads, compare=asked)
-    used = compared_in(problem)
+    prepared = None
+    if usual:
+        first = None
+        if reference is not None:
+            first = read_log(
+                reference, loaded, rename=rename, scale=scale, angles=angles
+            )
+        prepared = prepare(loaded, recordings, first, asked, threads, say)
+        beside = None
+        problem, base = prepared.problem, prepared.base
+    else:
+        problem = base = make_problem(
+            loaded, recordings, threads=threads, compare=asked
+        )
+    used = compared_in(base)
     # A servo's bench judges its own channels beside positions: volts, current.
     beside = beside if used == asked and loaded.servo is None else None
     both = compare == "both" and beside is not None
@@ -241,14 +304,16 @@ def run_gap(
     for line in where_lines(before):
         log.info("%s", line)
     parts = 2.0 if both else 1.0
-    verdict = find_gap(
-        problem,
-        spread=spread,
-        exclude=exclude,
-        on_step=lambda said, part: say(said, part / parts),
-    )
-    comparisons = [warned(Comparison(used, verdict, verdict.gap), _warning(problem))]
-    motions, complete = _to_record_next(problem, verdict, say)
+
+    def on_step(said: str, part: float) -> None:
+        say(said, part / parts)
+
+    if prepared is None:
+        verdict = find_gap(problem, spread=spread, exclude=exclude, on_step=on_step)
+    else:
+        verdict, prepared = search(prepared, exclude=exclude, on_step=on_step)
+    comparisons = [warned(Comparison(used, verdict, verdict.gap), _warning(base))]
+    motions, complete = _to_record_next(base, verdict, say)
     if complete and beside is not None and verdict.instability is None:
         options = {"spread": spread, "exclude": exclude} if both else None
         log_of_both = replace(recordings, notes=problem.log.notes)
@@ -262,12 +327,14 @@ def run_gap(
         regimes=tuple(labels),
         motions=motions,
         figures=figures,
-        model=as_compared(loaded, problem),
+        model=as_compared(loaded, base),
         log=problem.log,
         seconds=time.perf_counter() - began,
         complete=complete,
         comparisons=tuple(comparisons),
         compared=tuple(compared),
+        calibration=None if prepared is None else prepared.summary,
+        before=None if prepared is None else prepared.before,
     )
 
 

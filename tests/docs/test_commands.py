@@ -65,6 +65,8 @@ RUN_BY = {
     "quickstart.py": "recipes/test_chain.py",
     "find_gap.py model=docs/example/arm.xml data=docs/example/logs": "test_cli.py",
     "find_gap.py model=arm.xml data=logs": "test_cli.py",
+    "find_gap.py model=arm.xml reference=before data=after": "gap/test_reference.py",
+    "find_gap.py model=arm.xml data=logs calibrate=usual": "gap/test_reference.py",
 }
 # What a page cannot run here: it needs a network, a robot, hours, or is run elsewhere.
 ELSEWHERE = {

@@ -129,6 +129,29 @@ class Instability:
     advice: tuple[str, ...] = ()
 
 
+class Calibrated(Protocol):
+    """A calibration, and what it leaves open in place of a tolerance."""
+
+    @property
+    def nominal(self) -> mujoco.MjSpec:
+        """The model without it."""
+        ...
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the directions in which its numbers may still change."""
+        ...
+
+    @property
+    def words(self) -> str:
+        """The same in words, after "what the noise and"."""
+        ...
+
+    def effects(self, parts: Sequence[float] = ()) -> tuple[AppliedEffect, ...]:
+        """Return the calibration as effects, changed by an amount of each direction."""
+        ...
+
+
 class Problem(Protocol):
     """A robot's model and log, and the comparison of simulation with measurement.
 
@@ -145,6 +168,8 @@ class Problem(Protocol):
     tolerance_names: tuple[str, ...]
     # Whether some seconds may be wrong under any hypothesis: outliers.
     has_outliers: bool = False
+    # Calibration of the model; None where each number may be a few per cent off.
+    calibration: Calibrated | None = None
 
     def candidates(self) -> list[Candidate]:
         """Return each effect at each target that this comparison can reveal."""
@@ -203,6 +228,7 @@ class NamedEffect:
         rivals: Other effects of its class that this data cannot distinguish from it.
         evidence: By how much each rival is worse on held-out data, by
             ``name target``: 0.03 is three per cent.
+        calibrated: Whether a calibration found it beyond what is usual, and no search.
     """
 
     name: str
@@ -210,6 +236,7 @@ class NamedEffect:
     parameters: Mapping[str, Value]
     rivals: tuple[Candidate, ...] = ()
     evidence: Mapping[str, float] = field(default_factory=dict)
+    calibrated: bool = False
 
 
 @dataclass(frozen=True)
@@ -312,7 +339,8 @@ class Verdict:
     Attributes:
         complete: False where the search was interrupted.
         verdict: ``no_gap``, ``no_improvement``, ``named``, ``ambiguous``,
-            ``unexplained``, ``not_identifiable`` or ``unstable_model``.
+            ``unexplained``, ``not_identifiable`` or ``unstable_model``; between two
+            recordings of one robot ``no_change``.
         effects: The named effects, the most informative first.
         gap: The disagreement before and after.
         unexplained: Share of the held-out gap that remains, the channel with most of

@@ -148,13 +148,16 @@ def _write_inertias(
 ) -> None:
     """Write the inertia of links that derive it from their geoms."""
     for effect in effects:
-        if effect.name != "link_inertia":
+        if effect.name not in ("link_inertia", "link_parameters"):
             continue
         body, known = spec.body(effect.target), loaded.model.body(effect.target)
-        if not body.explicitinertial:
+        # All of them need the frame of the inertia, which a file may give as angles.
+        if not body.explicitinertial or effect.name == "link_parameters":
             body.explicitinertial = True
             body.mass, body.ipos = known.mass[0], known.ipos
             body.iquat, body.inertia = known.iquat, known.inertia
+            body.fullinertia = np.full(6, np.nan)
+            body.ialt.type = mujoco.mjtOrientation.mjORIENTATION_QUAT
 
 
 def rounded(effect: AppliedEffect) -> AppliedEffect:

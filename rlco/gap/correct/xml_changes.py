@@ -14,6 +14,7 @@ from rlco.gap.correct.xml_text import Editor, Element
 # Attributes with the same name in a spec and in a file.
 _JOINT = ("damping", "frictionloss", "armature", "stiffness", "springref")
 _GEOM = ("friction", "solref")
+_TURNS = ("axisangle", "euler", "xyaxes", "zaxis")
 _SHORTCUTS = ("motor", "position", "velocity", "intvelocity", "damper", "cylinder")
 
 
@@ -90,11 +91,17 @@ def _inertia(editor: Editor, element: Element, old: Any, new: Any) -> None:
         editor.append(element, _inertial(new, name, numbers))
         return
     before = old.fullinertia if full else old.inertia
-    changes = {}
+    changes: dict[str, str | None] = {}
     if not _same(old.mass, new.mass):
         changes["mass"] = _text(new.mass)
     if not _same(before, numbers):
         changes[name] = _text(numbers)
+    if not _same(old.ipos, new.ipos):
+        changes["pos"] = _text(new.ipos)
+    if not _same(old.iquat, new.iquat):
+        # Of the ways to write an orientation, a file may use only one.
+        changes |= dict.fromkeys((*_TURNS, "fullinertia"))
+        changes["quat"] = _text(new.iquat)
     places = list(element.of("inertial"))
     if changes:
         _one(places)

@@ -17,6 +17,7 @@ _USE = (
 _RECORD = "Record the motions proposed below, add them to the data, and run this again."
 _OTHERWISE: Mapping[str, str] = {
     "no_gap": "Nothing: the model reproduces these recordings.",
+    "no_change": "Nothing: the robot behaves as before.",
     "no_improvement": "Record more, under the same conditions: what fits some of these "
     "recordings does not generalise to the others.",
     "unexplained": "See below where the model disagrees; if you know what is missing "

@@ -10,12 +10,14 @@ from importlib.resources import files
 import mujoco
 from matplotlib.figure import Figure
 
+from rlco.gap.calibrate.summary import Before, Summary
 from rlco.gap.compare.comparisons import Comparison
 from rlco.gap.compare.problem import Instability, NamedEffect, Verdict
 from rlco.gap.compare.stability.instability import changed_words
 from rlco.gap.compare.wording import amount, capital, in_words, plain, title, title_of
 from rlco.gap.diagnose.traces import FigureData
 from rlco.gap.logs.log import Log
+from rlco.gap.report.calibration import calibration_section, reference_section
 from rlco.gap.report.compared import comparison_lines
 from rlco.gap.report.figures import gap_bars, heat_map, png, trace_figure
 from rlco.gap.report.free_form import free_form_section
@@ -51,6 +53,9 @@ class Page:
         comparisons: All comparisons, that of the verdict first.
         compared: The same in sentences, with what was left out.
         model: The nominal model, for parameters before and after.
+        calibration: What a calibration fitted before the search.
+        before: What is known from recordings made before.
+        beyond: What the calibration found beyond what is usual.
     """
 
     verdict: Verdict
@@ -62,6 +67,9 @@ class Page:
     comparisons: Sequence[Comparison] = ()
     compared: Sequence[str] = ()
     model: mujoco.MjModel | None = None
+    calibration: Summary | None = None
+    before: Before | None = None
+    beyond: Sequence[NamedEffect] = ()
 
 
 def page(source: Page) -> str:
@@ -71,12 +79,17 @@ def page(source: Page) -> str:
     sections = (
         _header(source),
         _effects(source),
+        _beyond(source),
+        reference_section(
+            source.calibration, source.before, named=bool(source.verdict.effects)
+        ),
         held_out_section(source.verdict),
         _gap(source),
         _traces(source),
         _where(source),
         _unexplained(source),
         free_form_section(source.verdict.free_form, source.verdict.gap.unit),
+        calibration_section(source.calibration, source.beyond, source.model),
         _next(source),
         _trail(source),
         _log(source),
@@ -194,6 +207,18 @@ def _effects(source: Page) -> str:
         "place of the effect: these recordings cannot distinguish those that are as "
         "good; those that are ruled out leave a larger residual in held-out "
         "recordings.</p>"
+    )
+
+
+def _beyond(source: Page) -> str:
+    if not source.beyond:
+        return ""
+    rows = [_effect_row(one, source.model)[:2] for one in source.beyond]
+    return (
+        "<h2>What the calibration found</h2>\n"
+        + html.table(["effect", "parameters"], rows)
+        + '<p class="quiet">Further from the model than 95 % of its prior, and known '
+        "from these recordings. No search compared it with other explanations.</p>"
     )
 
 

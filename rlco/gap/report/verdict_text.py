@@ -29,6 +29,7 @@ PLAIN_VERDICTS = {
     "ambiguous": "several explanations",
     "unexplained": "a gap that nothing explains",
     "not_identifiable": "these recordings cannot tell",
+    "no_change": "no change",
     UNSTABLE: "the simulation breaks",
 }
 #: What each verdict means, in one sentence.
@@ -43,6 +44,8 @@ MEANING = {
     "listed, and the motions to record next would distinguish them.",
     "unexplained": "There is a disagreement, and nothing in the library explains it.",
     "not_identifiable": "The recorded motion is not informative enough to decide.",
+    "no_change": "Nothing in the library explains more of the difference between the "
+    "two recordings than what is not known of either.",
     UNSTABLE: "The model's simulation breaks before anything is compared, so there was "
     "no search: correct the model, and run this again.",
 }
@@ -151,6 +154,8 @@ def headline(verdict: Verdict, where: Where | None = None) -> str:
         return f"The search was stopped before naming anything: {residual} remain{at}."
     if verdict.verdict == "no_gap":
         return f"The model agrees with the recordings: {residual} on held-out ones."
+    if verdict.verdict == "no_change":
+        return f"Nothing changed: {residual} on held-out recordings."
     if verdict.verdict == "no_improvement":
         return f"Nothing in the library improves the model: {residual} remain{at}."
     if verdict.verdict == "not_identifiable":

@@ -19,6 +19,7 @@ from rlco.gap.search.steps.elsewhere import elsewhere
 from rlco.gap.search.steps.exact_model import exact_model
 from rlco.gap.search.steps.forward import forward, screen, shortlist, swap, take
 from rlco.gap.search.steps.free_form import free_form
+from rlco.gap.search.steps.plain_shares import plain_shares
 from rlco.gap.search.steps.rivals import rivals
 from rlco.gap.search.steps.sensitivity import rewhiten
 from rlco.gap.search.steps.start import split, start
@@ -57,7 +58,7 @@ def find_gap(
             return find_servo_gap(problem, exclude=exclude, on_step=on_step)
         state = start(problem, spread=spread, exclude=exclude)
     except KeyboardInterrupt:
-        return _nothing_searched(problem, time.perf_counter() - began)
+        return nothing_searched(problem, time.perf_counter() - began)
     except UnstableModelError as error:
         seconds = time.perf_counter() - began
         return unstable_verdict(problem, error.instability, *split(problem), seconds)
@@ -89,7 +90,8 @@ def states(state: State) -> Iterator[State]:
     """Yield the state after each step of a search, until it ends."""
     state = yield from additions(state)
     state = yield from elsewhere(state, additions)
-    for step in (exact_model, rivals, intervals, residual, free_form):
+    steps = (exact_model, rivals, intervals, plain_shares, residual, free_form)
+    for step in steps:
         state = step(state)
         yield state
 
@@ -129,7 +131,7 @@ def progress(state: State) -> tuple[str, float]:
     return ", ".join(names) or "nothing", done
 
 
-def _nothing_searched(problem: Problem, seconds: float) -> Verdict:
+def nothing_searched(problem: Problem, seconds: float) -> Verdict:
     """Return a verdict that names nothing, with the initial disagreement."""
     rows = problem.residuals([Hypothesis()])[0]
     noise = np.asarray(problem.noise)[problem.layout.channel]

@@ -88,14 +88,17 @@ class Weights:
         order = training_first(problem, train, heldout)
         near = np.isin(problem.layout.recording, train)
 
+        # A calibration's covariance is known; a tolerance of each parameter is not.
+        often = len(scale) if problem.calibration is None else -1
+
         def whitening(part: Rows, count: int) -> Whitening:
             some = outliers and outliers.part(part)
             return Whitening.of(scale[part], moved[:, part], prior, count, some)
 
         return cls(
             moved,
-            whitening(near, len(scale)),
-            whitening(order, len(scale)),
+            whitening(near, often),
+            whitening(order, often),
             whitening(near, -1),
         )
 
@@ -175,7 +178,8 @@ class Setting:
         layout = self.problem.layout
         near = np.isin(layout.recording, some)
         scale = self.problem.noise[layout.channel][near]
-        moved, rows = self.weights.moved[:, near], len(layout.recording)
+        moved = self.weights.moved[:, near]
+        rows = len(layout.recording) if self.problem.calibration is None else -1
         outliers = self.outliers and self.outliers.part(near)
         training = Whitening.of(scale, moved, self.prior, rows, outliers)
         return replace(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 from rlco.gap.compare.problem import Candidate, FreeForm, Gap
 from rlco.gap.search.fit import Fit, fit
@@ -80,6 +80,8 @@ class State:
         widths: Half the width of the interval of each parameter of `best`.
         residual: The remaining gap.
         free_form: A torque of free form that does clearly better than `best`.
+        plain: Share of the gap that single effects explain without any tolerance,
+            where nothing is named.
     """
 
     setting: Setting
@@ -97,6 +99,7 @@ class State:
     widths: tuple[float, ...] = ()
     residual: Residual | None = None
     free_form: FreeForm | None = None
+    plain: Mapping[Candidate, float] = field(default_factory=dict)
 
     @property
     def none(self) -> Scored:

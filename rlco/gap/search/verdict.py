@@ -25,6 +25,7 @@ from rlco.gap.search.judge import (
 )
 from rlco.gap.search.state import Residual, Rivals, State
 
+CLOSEST = 5  # effects that are told where none is named
 DOUBT = "more is missing than what is named, or something else"
 NOTHING_SEARCHED = "Nothing was searched: interrupted before any effect was fitted."
 
@@ -70,8 +71,11 @@ def _unexplained(state: State, residual: Residual) -> Mapping[str, object]:
     """Describe the held-out residual, and whether model tolerance may explain it."""
     setting, best, named = state.setting, found(state), kind(state)
     after = setting.heldout_error(best)
+    calibrated = setting.problem.calibration
     tolerance = (
         f"parameters that are about {np.max(setting.prior, initial=0.0):.0%} off"
+        if calibrated is None
+        else calibrated.words
     )
     if is_noise(state):
         note = "nothing beyond the noise"
@@ -115,7 +119,12 @@ def _closest(state: State) -> tuple[tuple[Candidate, float], ...]:
     """Return the single effects that come nearest, with the share each explains."""
     singles = [one for one in state.scores.values() if len(one.effects) == 1]
     singles.sort(key=lambda one: one.fit.cost)
-    return tuple(
-        (next(iter(one.names)), 1.0 - residual_share(state.none, one))
-        for one in singles[:5]
-    )
+    shares = {
+        next(iter(one.names)): 1.0 - residual_share(state.none, one) for one in singles
+    }
+    if not state.plain:
+        return tuple(shares.items())[:CLOSEST]
+    for one, share in state.plain.items():
+        shares[one] = max(share, shares.get(one, 0.0))
+    best = sorted(shares.items(), key=lambda pair: -pair[1])
+    return tuple(best[:CLOSEST])

@@ -25,6 +25,16 @@ FAR = 3.5
 COST = 0.03
 
 
+def often(rows: int) -> float:
+    """Return how often the prior counts beside so many rows.
+
+    Example:
+        >>> round(often(10_000), 1), often(-1)
+        (49.7, 1.0)
+    """
+    return max(1.0, ((1.0 + COST) ** 2 - 1.0) * rows / FAR**2)
+
+
 @dataclass(frozen=True)
 class Whitening:
     """The whitening of residuals of N values.
@@ -63,9 +73,7 @@ class Whitening:
                 zero the prior counts once.
             outliers: Maximum cost of blocks of time.
         """
-        rows = rows or len(scale)
-        often = max(1.0, ((1.0 + COST) ** 2 - 1.0) * rows / FAR**2)
-        prior = prior / np.sqrt(often)
+        prior = prior / np.sqrt(often(rows or len(scale)))
         moved = (jacobian * prior[:, None] / scale).T
         if moved.shape[1] == 0:
             none = np.zeros((len(scale), 0))

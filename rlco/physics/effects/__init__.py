@@ -34,6 +34,11 @@ from rlco.physics.effects.inertia import (
     OBJECT_MASS,
     PAYLOAD,
 )
+from rlco.physics.effects.link_parameters import (
+    LINK_PARAMETERS,
+    TORQUE_OFFSET,
+    TORQUE_SCALE,
+)
 from rlco.physics.effects.scene import (
     CONTROLLER_STIFFNESS,
     FIXTURE_FRICTION,
@@ -55,6 +60,8 @@ _LIBRARY = (
     STRIBECK_FRICTION,
     LOAD_FRICTION,
     ARMATURE,
+    # Before a payload: what a link holds is no part of its own inertia.
+    LINK_PARAMETERS,
     PAYLOAD,
     LINK_INERTIA,
     ACTUATOR_GAIN,
@@ -74,6 +81,8 @@ _LIBRARY = (
     CONTACT_FRICTION,
     CONTACT_STIFFNESS,
     OBJECT_MASS,
+    TORQUE_SCALE,
+    TORQUE_OFFSET,
     SCENE_FRICTION,
     SCENE_MASS,
     FIXTURE_FRICTION,

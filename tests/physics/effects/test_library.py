@@ -52,7 +52,9 @@ def _changed(name: str, target: str | None, *values: float) -> mujoco.MjModel:
 def test_the_names_are_those_that_reports_use() -> None:
     assert {effect.name for effect in EFFECTS.values() if effect.candidate} == _NAMES
     of_tasks = {"scene_friction", "scene_mass", "fixture_friction"}
-    assert set(EFFECTS) == _NAMES | of_tasks | {"controller_stiffness"}
+    calibrated = {"link_parameters", "torque_scale", "torque_offset"}
+    others = of_tasks | calibrated | {"controller_stiffness"}
+    assert set(EFFECTS) == _NAMES | others
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ from rlco.gap.compare.arm.kernel import Views, roll_out, roll_out_forces
 from rlco.gap.compare.arm.needed_torque import limits, servo_torque
 from rlco.gap.compare.model_tolerance import apply_tolerance, tolerance_names
 from rlco.gap.compare.problem import (
+    Calibrated,
     Candidate,
     Hypothesis,
     Integers,
@@ -58,6 +59,8 @@ class ArmRollouts(Problem):
         noise: Standard deviation of each joint's measurement [rad or m], (joints,).
         horizon: Length of a rollout [s]; None for whole recordings.
         threads: Rollouts that run in parallel.
+        calibration: The calibration that `spec` has, and what it leaves open; None: a
+            few per cent of each parameter.
     """
 
     def __init__(
@@ -68,11 +71,15 @@ class ArmRollouts(Problem):
         *,
         horizon: float | None = None,
         threads: int = 2,
+        calibration: Calibrated | None = None,
     ) -> None:
         self.spec, self.log, self.noise = spec, log, np.asarray(noise, dtype=float)
         self.model: mujoco.MjModel = spec.copy().compile()
-        self.threads = threads
-        self.tolerance_names = tolerance_names(self.model)
+        self.threads, self.horizon = threads, horizon
+        self.calibration = calibration
+        self.tolerance_names = (
+            tolerance_names(self.model) if calibration is None else calibration.names
+        )
         self._pool = ThreadPoolExecutor(threads)
         self._columns = [self.model.actuator(name).id for name in log.actuators]
         self._positions = [
@@ -208,7 +215,10 @@ class ArmRollouts(Problem):
     def compiled(self, hypothesis: Hypothesis) -> mujoco.MjModel:
         """Return the model under a hypothesis."""
         spec = self.spec.copy()
-        if hypothesis.spread:
+        if hypothesis.spread and self.calibration is not None:
+            spec = self.calibration.nominal.copy()
+            apply_to_spec(spec, self.calibration.effects(hypothesis.spread))
+        elif hypothesis.spread:
             apply_tolerance(spec, self.tolerance_names, hypothesis.spread)
         apply_to_spec(spec, hypothesis.effects)
         return spec.compile()

@@ -83,11 +83,30 @@ def torque_problem(spec: mujoco.MjSpec, log: Log) -> TorqueLog:
     _refuse_without_gravity(rows)
     if not notes:
         return problem
+    return TorqueLog(spec, with_factors(log, factors, notes))
+
+
+def with_factors(log: Log, factors: Array, notes: Sequence[str] = ()) -> Log:
+    """Return a log with the torques of each joint times a factor, (joints,)."""
     recordings = [
         replace(one, torque=np.asarray(one.torque) * factors) for one in log.recordings
     ]
-    converted = replace(log, recordings=tuple(recordings), notes=(*log.notes, *notes))
-    return TorqueLog(spec, converted)
+    return replace(log, recordings=tuple(recordings), notes=(*log.notes, *notes))
+
+
+def factors_between(log: Log, converted: Log) -> Array:
+    """Return the factor of each joint's torques between a log and its converted form.
+
+    Returns:
+        (joints,); one where a joint's torque is zero throughout.
+    """
+    before, after = (
+        np.concatenate([np.asarray(r.torque) for r in one.recordings])
+        for one in (log, converted)
+    )
+    row = np.abs(before).argmax(axis=0), np.arange(before.shape[1])
+    zero = before[row] == 0.0
+    return np.where(zero, 1.0, after[row] / np.where(zero, 1.0, before[row]))
 
 
 def _rows(problem: TorqueLog, recordings: Sequence[int]) -> _Rows:

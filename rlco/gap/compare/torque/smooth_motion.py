@@ -59,7 +59,7 @@ def smooth_motion(
         (True, True)
     """
     period = float(np.median(np.diff(time)))
-    half = max(3, round(0.5 * window / period))
+    half = rows_of(window, period)
     half = min(half, (len(time) - 1) // 2)
     middle = np.clip(np.arange(len(time)), half, len(time) - 1 - half)
     rows = middle[:, None] + np.arange(-half, half + 1)
@@ -70,6 +70,11 @@ def smooth_motion(
     weights = np.linalg.pinv(powers)
     found = np.einsum("tpw,twj->ptj", weights, position[rows])
     return found[0], found[1] / scale, 2.0 * found[2] / scale**2
+
+
+def rows_of(window: float, period: float) -> int:
+    """Return the rows on each side that a window reaches, at least three."""
+    return max(3, round(0.5 * window / period))
 
 
 def smoothed(recording: Recording, window: float) -> Motion:

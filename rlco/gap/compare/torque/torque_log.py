@@ -21,7 +21,13 @@ import mujoco
 import numpy as np
 
 from rlco.gap.compare.noise import measurement_noise
-from rlco.gap.compare.problem import Candidate, Hypothesis, Layout, Problem
+from rlco.gap.compare.problem import (
+    Calibrated,
+    Candidate,
+    Hypothesis,
+    Layout,
+    Problem,
+)
 from rlco.gap.compare.torque.inverse_dynamics import inverse_dynamics
 from rlco.gap.compare.torque.model_tolerance import (
     apply_torque_tolerance,
@@ -34,6 +40,7 @@ from rlco.physics.effects import AppliedEffect, Effect, searched
 from rlco.physics.effects.actuator import ACTUATOR_GAIN
 from rlco.physics.effects.apply import apply_to_spec, step_forces, true_positions
 from rlco.physics.effects.command import COMMAND_DELAY
+from rlco.physics.effects.link_parameters import TORQUE_OFFSET, TORQUE_SCALE
 from rlco.physics.effects.step_forces import Laws, law_along
 from rlco.physics.effects.targets import actuator_of, dof_of, driven_joints
 
@@ -51,6 +58,8 @@ class TorqueLog(Problem):
         window: Seconds over which positions are smoothed to derive accelerations.
         noise: Standard deviation of the measured torques, (joints,) [N m]; by default
             the part of them that is too fast for an arm.
+        calibration: The calibration that `spec` has, and what it leaves open; None: a
+            few per cent of each parameter.
 
     Raises:
         DataError: If torques are missing, or a recording is shorter than the window.
@@ -77,14 +86,22 @@ class TorqueLog(Problem):
         *,
         window: float = 0.4,
         noise: Array | None = None,
+        calibration: Calibrated | None = None,
     ) -> None:
-        self.log = log
+        self.log, self.calibration, self.window = log, calibration, window
         self.model: mujoco.MjModel = spec.copy().compile()
         self._spec = _unconstrained(spec)
+        if calibration is not None:
+            self._nominal = _unconstrained(calibration.nominal)
+            self._calibrated = calibration.effects()
         self._motions = [smoothed(recording, window) for recording in log.recordings]
         self._dofs = np.array([dof_of(self.model, name) for name in log.joints])
         self._actuators = [actuator_of(self.model, name) for name in log.joints]
-        self.tolerance_names = torque_tolerance_names(self.model)
+        self.tolerance_names = (
+            torque_tolerance_names(self.model)
+            if calibration is None
+            else calibration.names
+        )
         self.layout = self._layout()
         self.noise = self._noise() if noise is None else np.asarray(noise)
 
@@ -93,20 +110,29 @@ class TorqueLog(Problem):
 
         A torque constant is a candidate only where a joint's torque correlates with the
         model's. Where friction dominates, such a factor could stand for anything.
+        Between two recordings of one robot it is one of what is reported, and an offset
+        of that stands for a bias of drives that the model lacks.
         """
+        gain, driven = ACTUATOR_GAIN.name, driven_joints(self.model)
         joints = {self.model.joint(i).name for i in range(self.model.njnt)}
         correlated = [
             name
             for name, together in zip(self.log.joints, self._together(), strict=True)
             if together > _TOGETHER
         ]
-        return [
+        found = [
             Candidate(effect.name, target)
             for effect in searched("torques")
             for target in _targets(effect, self.model)
             if target not in joints or target in self.log.joints
-            if effect.name != ACTUATOR_GAIN.name or target in correlated
+            if effect.name != gain or target in correlated
         ]
+        if self.calibration is None:
+            return found
+        found = [one for one in found if one.name != gain]
+        found += [Candidate(TORQUE_SCALE.name, joint) for joint in correlated]
+        undriven = [joint for joint in self.log.joints if joint not in driven]
+        return found + [Candidate(TORQUE_OFFSET.name, joint) for joint in undriven]
 
     def _together(self) -> list[float]:
         """Return each joint's correlation of measured and modelled torque."""
@@ -150,7 +176,15 @@ class TorqueLog(Problem):
     def torque(self, hypothesis: Hypothesis, motion: Motion) -> Array:
         """Return the torque that a drive would have measured, (rows, joints) [N m]."""
         spec = self._spec.copy()
-        if hypothesis.spread:
+        reported: tuple[AppliedEffect, ...] = hypothesis.effects
+        if self.calibration is not None:
+            calibrated = self._calibrated
+            if hypothesis.spread:
+                calibrated = self.calibration.effects(hypothesis.spread)
+                spec = self._nominal.copy()
+                apply_to_spec(spec, calibrated)
+            reported = (*calibrated, *reported)
+        elif hypothesis.spread:
             apply_torque_tolerance(spec, self.tolerance_names, hypothesis.spread)
         apply_to_spec(spec, hypothesis.effects)
         forces = step_forces(self.model, hypothesis.effects)
@@ -171,6 +205,18 @@ class TorqueLog(Problem):
         for applied in hypothesis.effects:
             if applied.name == COMMAND_DELAY.name:
                 torque = _ahead(motion, torque, float(applied.values[0]))
+        return self._as_reported(torque, reported)
+
+    def _as_reported(self, torque: Array, effects: Sequence[AppliedEffect]) -> Array:
+        """Return torques with the factors and offsets of effects, (rows, joints)."""
+        for applied in effects:
+            if applied.target not in self.log.joints:
+                continue
+            column = self.log.joints.index(applied.target)
+            if applied.name == TORQUE_SCALE.name:
+                torque[:, column] *= applied.values[0]
+            elif applied.name == TORQUE_OFFSET.name:
+                torque[:, column] += applied.values[0]
         return torque
 
     def _forces(self, laws: Laws, moving: tuple[Array, ...]) -> Array:

@@ -44,6 +44,8 @@ def exact_model(state: State) -> State:
     setting, effects = state.setting, state.best.effects
     if not len(setting.prior) or len(effects) >= LARGEST:
         return state
+    if setting.problem.calibration is not None:
+        return state  # a calibrated model is known not to be exact
     if setting.heldout_error(state.best) < EXACT:
         return state
     # At the edge of stability, simulations amplify rounding errors.
@@ -52,7 +54,7 @@ def exact_model(state: State) -> State:
     state, whitening = tolerance_beside(state)
     if int((whitening.shrink < INFORMED).sum()) < FEWER:
         return state
-    exact = _exact(state)
+    exact = without_tolerance(state)
     if exact is None:
         return state
     residual_square = float(
@@ -79,7 +81,7 @@ def exact_model(state: State) -> State:
     return state
 
 
-def _exact(state: State) -> State | None:
+def without_tolerance(state: State) -> State | None:
     """Return the state without tolerance, its best effects fitted anew."""
     setting, effects = state.setting, state.best.effects
     moved, prior = np.zeros((0, len(setting.problem.layout.channel))), np.zeros(0)
@@ -109,7 +111,7 @@ def _one_more(
     """
     subset = exact.screening_setting()
     at = linearise(subset.library, exact.best.effects, subset.whiten)
-    informative = ranked(_as_exact(state, at), at, HINT * explained)
+    informative = ranked(screenings_without_tolerance(state, at), at, HINT * explained)
     starts = starts_beside(subset.library, informative, at)
     enough = (1.0 - HALF_WAY * explained) * at.cost
     return refined(exact, subset, starts, at, enough)
@@ -139,7 +141,7 @@ def _own_parameters_suffice(state: State, before: Scored, found: Scored) -> bool
     return before.fit.cost - residual_square > ALL * (before.fit.cost - found.fit.cost)
 
 
-def _as_exact(state: State, at: Fit) -> list[Screening]:
+def screenings_without_tolerance(state: State, at: Fit) -> list[Screening]:
     """Return the last screening at each effect under a fit, without whitening."""
     whitening = state.screening_setting().weights.training
     names = candidates_of(at.effects)

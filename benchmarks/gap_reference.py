@@ -1,0 +1,356 @@
+"""What changed between two recordings of a robot whose model is wrong in many ways.
+
+    python benchmarks/gap_reference.py out=outputs/gap_reference            # one by one
+    python benchmarks/gap_reference.py out=outputs/gap_reference groups=[single]
+
+Run it with OMP_NUM_THREADS=1. In the plant every mass, inertia, friction, damping,
+armature and gain is 10 to 30 % off the model, up or down. It is recorded, something in
+it changes, and it is recorded again, with other motion and other noise. The plant is
+that of `gap_plant`, which shares no code with the search. Each finished case is one
+line in ``OUT/results.jsonl``: started again it goes on where it was.
+
+Seeds below 1000 are for development; the benchmark's begin at 21000.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import cycle
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from gap_arms import Arm, Array, make_arm
+from gap_motions import MOTIONS, Motion, commands
+from gap_plant import Hidden, make_plant
+from gap_recording import Recorded, read_out, record
+from gap_scoring import share_of
+from gap_sizes import draw, usual
+
+from rlco.gap.calibrate.numbers import Calibratable
+from rlco.gap.logs.log import Log, Recording
+from rlco.gap.make_problem import make_problem
+from rlco.gap.model import LoadedModel, load_model
+from rlco.gap.reference import changed_problem, search
+from rlco.run import run_recipe
+from rlco.runs.config import option
+
+BENCHMARK_SEED = 21000
+OFF = (0.10, 0.30)  # how far off each number of the model is
+EPISODES = 6
+EXCITING = replace(MOTIONS["excite"], episodes=EPISODES)
+# Inverse dynamics need accelerations, so smooth motion and the encoders of such arms.
+SMOOTH = replace(
+    MOTIONS["reach"],
+    episodes=EPISODES,
+    fps=100,
+    frames=600,
+    noise=1e-4,
+    quantum=0.0,
+    jitter=0.0,
+    velocity=True,
+)
+_SHORT = 5e-4  # [s]
+_TORQUE_NOISE = 0.01  # of a joint's usual torque
+#: What changes, and whether that is looked for in torques.
+POSITIONS = (
+    "payload",
+    "coulomb_friction",
+    "backlash",
+    "actuator_gain",
+    "command_delay",
+    "joint_offset",
+)
+TORQUES = ("payload", "coulomb_friction", "torque_scale", "torque_bias")
+_SIZE = 0.15  # relative error that is wanted
+Row = dict[str, Any]
+
+
+@dataclass
+class Config:
+    """Options of gap_reference.py."""
+
+    out: str = option("outputs/gap_reference", "folder; finished cases are kept")
+    groups: list[str] = option([], "only cases of these groups")
+    arms: list[str] = option([], "only cases of these robots")
+    seed: int = option(BENCHMARK_SEED, "seed of the first case", minimum=0)
+    minutes: float = option(600.0, "start no case after so many", minimum=0.0)
+    every: int = option(1, "take every so many cases", minimum=1)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A case: the robot, what changes, and what is compared."""
+
+    name: str
+    group: str
+    arm: str
+    effects: tuple[str, ...]
+    torques: bool
+    seed: int
+
+
+def plan(first_seed: int) -> list[Case]:
+    """Return all cases: 60 single changes, 20 pairs, 40 of nothing.
+
+    Example:
+        >>> [sum(c.group == g for c in plan(0)) for g in ("single", "pair", "none")]
+        [60, 20, 40]
+    """
+    return list(_cases(first_seed))
+
+
+def _cases(first_seed: int) -> Iterator[Case]:
+    arms = cycle(("arm3", "arm6", "so101", "panda"))
+    seeds = iter(range(first_seed, first_seed + 100_000))
+    random = np.random.default_rng(first_seed)
+
+    def case(group: str, effects: tuple[str, ...], torques: bool) -> Case:
+        arm, seed = next(arms), next(seeds)
+        kind = "torques" if torques else "positions"
+        name = f"{group}_{kind}_{arm}_{seed}"
+        return Case(name, group, arm, effects, torques, seed)
+
+    for number in range(60):
+        place = (number + number // 20) % 10  # so that each robot has each change
+        torques = place >= len(POSITIONS)
+        yield case("single", ((*POSITIONS, *TORQUES)[place],), torques)
+    for number in range(20):
+        torques = number % 5 == 4
+        names = TORQUES if torques else POSITIONS
+        pair = random.choice(names, 2, replace=False)
+        yield case("pair", tuple(map(str, pair)), torques)
+    for number in range(40):
+        yield case("none", (), number % 5 == 4)
+
+
+def run_case(case: Case) -> Row:
+    """Record a case, search it, and return what was found beside the truth."""
+    arm, motion = make_arm(case.arm), SMOOTH if case.torques else EXCITING
+    random = np.random.default_rng(case.seed)
+    sent = [
+        [commands(arm, motion, random) for _ in range(motion.episodes)]
+        for _ in range(2)
+    ]
+    reference = _recorded(case, motion, sent[0], ())
+    later = _recorded(case, motion, sent[1], ())
+    torque, speed = (
+        np.concatenate([getattr(one, name) for one in later])
+        for name in ("torque", "velocity")
+    )
+    used = usual(arm, torque, speed)
+    hidden: list[Hidden] = []
+    for name in case.effects:
+        hidden.append(_drawn(name, arm, used, hidden, random))
+    later = _recorded(case, motion, sent[1], hidden)
+    noise = _TORQUE_NOISE * used.torque
+    logs = [
+        _log(
+            arm, motion, episodes, commanded, case.torques, noise, hidden * late, random
+        )
+        for late, (episodes, commanded) in enumerate(
+            zip((reference, later), sent, strict=True)
+        )
+    ]
+    began, cpu = time.perf_counter(), time.process_time()
+    loaded = _loaded(arm)
+    known = make_problem(loaded, logs[0])
+    assert isinstance(known, Calibratable)
+    prepared = changed_problem(loaded, known, *logs)
+    calibrated = time.process_time() - cpu
+    verdict, prepared = search(prepared)
+    summary, before = prepared.summary, prepared.before
+    assert summary is not None
+    assert before is not None
+    calibration = summary.calibration
+    found = [
+        {
+            "name": one.name,
+            "target": one.target,
+            "values": {k: v.value for k, v in one.parameters.items()},
+            "low": {k: v.low for k, v in one.parameters.items()},
+            "high": {k: v.high for k, v in one.parameters.items()},
+            "rivals": [[r.name, r.target] for r in one.rivals],
+        }
+        for one in verdict.effects
+    ]
+    truth = [
+        {"name": h.name, "target": h.target, "values": dict(h.parameters)}
+        for h in hidden
+    ]
+    row: Row = {
+        "name": case.name,
+        "group": case.group,
+        "verdict": verdict.verdict,
+        "found": found,
+        "truth": truth,
+        "share": verdict.unexplained["share"],
+        "closest": [[c.name, c.target, s] for c, s in verdict.closest],
+        "cost": [calibration.cost_before, calibration.cost],
+        "noise": (before.unknown / prepared.base.noise).round(2).tolist(),
+        "after": (before.after / before.unknown).round(2).tolist(),
+        "seconds": round(time.perf_counter() - began, 1),
+        "cpu": round(time.process_time() - cpu, 1),
+        "cpu_calibration": round(calibrated, 1),
+    }
+    return row | judged(row)
+
+
+def judged(row: Row) -> Row:
+    """Return whether the names are exact, and the relative errors of their sizes."""
+    wanted = {(t["name"], t["target"]): t["values"] for t in row["truth"]}
+    told = {(f["name"], f["target"]): f["values"] for f in row["found"]}
+    in_class = all(
+        any(
+            key == (f["name"], f["target"]) or list(key) in f["rivals"]
+            for f in row["found"]
+        )
+        for key in wanted
+    )
+    errors = []
+    for key in wanted.keys() & told.keys():
+        parameter, value = next(iter(wanted[key].items()))
+        away = value - 1.0 if parameter == "factor" else value
+        errors.append(abs(told[key][parameter] - value) / abs(away))
+    exact = wanted.keys() == told.keys() if wanted else not told
+    return {
+        "exact": exact,
+        "in_class": in_class and len(told) == len(wanted),
+        "errors": errors,
+        "sized": exact and all(error <= _SIZE for error in errors),
+    }
+
+
+def _drawn(
+    name: str, arm: Arm, used: Any, others: Sequence[Hidden], random: Any
+) -> Hidden:
+    while True:
+        if name == "torque_scale":
+            joint = str(random.choice(arm.joints))
+            factor = float(random.choice([1.0 / 3.0, 0.6, 1.5, 4.0]))
+            return Hidden(name, joint, {"factor": factor})
+        effect = draw(name, arm, used, 1.0, random)
+        if effect.target is None or all(effect.target != o.target for o in others):
+            return effect
+
+
+def _recorded(
+    case: Case, motion: Motion, sent: list[Array], hidden: Sequence[Hidden]
+) -> list[Recorded]:
+    """Record a plant whose numbers are all off the model's.
+
+    Torques are of a drive that interpolates commands: read where a held command
+    changes, they would jump.
+    """
+    # A drive's torque at an instant is that of the step only where steps are short.
+    finer = (Hidden("finer_steps", None, {"timestep": _SHORT}),) * case.torques
+    xml = make_arm(case.arm).xml
+    plant = make_plant(xml, (*hidden, *finer), seed=case.seed, off=OFF)
+    random = np.random.default_rng(case.seed + 1)
+    if not case.torques:
+        return [record(plant, u, motion.fps, random) for u in sent]
+    every = round(1.0 / motion.fps / _SHORT)
+    found = []
+    for u in sent:
+        frames, steps = np.arange(len(u)), np.arange(every * len(u)) / every
+        fine = np.stack([np.interp(steps, frames, line) for line in u.T], axis=1)
+        one = record(plant, fine, motion.fps * every, random)
+        found.append(
+            Recorded(one.position[::every], one.velocity[::every], one.torque[::every])
+        )
+    return found
+
+
+def _log(
+    arm: Arm,
+    motion: Motion,
+    episodes: Sequence[Recorded],
+    sent: Sequence[Array],
+    torques: bool,
+    noise: Array,
+    hidden: Sequence[Hidden],
+    random: Any,
+) -> Log:
+    recordings = []
+    for number, (episode, commanded) in enumerate(zip(episodes, sent, strict=True)):
+        read = read_out(episode, motion, random)
+        time_ = np.arange(len(commanded)) / motion.fps
+        torque = episode.torque + noise * random.standard_normal(episode.torque.shape)
+        for effect in hidden:
+            if effect.name == "torque_scale":
+                torque[:, arm.joints.index(str(effect.target))] *= effect["factor"]
+        recordings.append(
+            Recording(
+                f"episode {number}",
+                time_,
+                position=read["observation.state"],
+                velocity=read["observation.velocity"],
+                command=None if torques else commanded,
+                torque=torque if torques else None,
+            )
+        )
+    return Log(tuple(recordings), arm.joints, () if torques else arm.joints)
+
+
+def _loaded(arm: Arm) -> LoadedModel:
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "model.xml"
+        path.write_text(arm.xml)
+        return load_model(path)
+
+
+def table(rows: Sequence[Row]) -> str:
+    """Return the results in Markdown."""
+    lines = [
+        "| group | cases | names exact | or in the class | exact, size within 15 % "
+        "| named | median CPU s |",
+        "|---" * 7 + "|",
+    ]
+    kinds = {row["group"]: None for row in rows}
+    for group in kinds:
+        inside = [row for row in rows if row["group"] == group]
+        cells = [
+            share_of([row[key] for row in inside])
+            for key in ("exact", "in_class", "sized")
+        ]
+        named = share_of([bool(row["found"]) for row in inside])
+        seconds = float(np.median([row["cpu"] for row in inside]))
+        lines.append(
+            f"| {group} | {len(inside)} | {' | '.join(cells)} | {named} | "
+            f"{seconds:.0f} |"
+        )
+    return "\n".join(lines)
+
+
+def main(config: Config) -> None:
+    """Run the cases that are not there yet, and print the table."""
+    out = Path(config.out)
+    out.mkdir(parents=True, exist_ok=True)
+    book = out / "results.jsonl"
+    rows = (
+        [json.loads(x) for x in book.read_text().splitlines()] if book.exists() else []
+    )
+    done = {row["name"] for row in rows}
+    until = time.monotonic() + 60.0 * config.minutes
+    for case in plan(config.seed)[:: config.every]:
+        if config.groups and case.group not in config.groups:
+            continue
+        if config.arms and case.arm not in config.arms:
+            continue
+        if case.name in done or time.monotonic() > until:
+            continue
+        row = run_case(case)
+        rows.append(row)
+        with book.open("a") as file:
+            file.write(json.dumps(row) + "\n")
+        print(case.name, row["verdict"], row["exact"], row["errors"], flush=True)
+    print(table(rows))
+
+
+if __name__ == "__main__":
+    run_recipe(main, Config)

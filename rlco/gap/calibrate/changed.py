@@ -1,0 +1,59 @@
+"""A later recording of a robot whose model was calibrated: what changed since."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from rlco.gap.calibrate.numbers import Calibratable
+from rlco.gap.compare.problem import Candidate, Hypothesis, Problem, Run
+from rlco.gap.logs.log import Array
+
+
+class Changed(Problem):
+    """A `Problem`: a calibrated model against a recording made later.
+
+    Args:
+        base: The calibrated model and the later recording.
+        correction: What the model lacked before, at each row, (N,).
+        noise: Standard deviation of what is not known of each channel, (channels,).
+    """
+
+    def __init__(self, base: Calibratable, correction: Array, noise: Array) -> None:
+        self.base, self.correction, self.noise = base, correction, noise
+        self.model, self.log, self.layout = base.model, base.log, base.layout
+        self.tolerance_names = base.tolerance_names
+        self.calibration = base.calibration
+
+    def candidates(self) -> list[Candidate]:
+        """Return each effect at each target that may have changed."""
+        return self.base.candidates()
+
+    def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
+        """Return initial values of first parameters that the log suggests."""
+        return self.base.usual_sizes()
+
+    def residuals(
+        self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None
+    ) -> Array:
+        """Return what changed and no hypothesis explains, (hypotheses, N)."""
+        rows = self.base.residuals(hypotheses, recordings)
+        if recordings is None:
+            return rows - self.correction
+        return rows - self.correction[np.isin(self.layout.recording, recordings)]
+
+    def runs(self, hypothesis: Hypothesis, recordings: Sequence[int]) -> Sequence[Run]:
+        """Return the rollouts of some recordings, see `Problem.runs`."""
+        return self.base.runs(hypothesis, recordings)
+
+    def traces(self, hypothesis: Hypothesis, recording: int) -> Mapping[str, Array]:
+        """Return the signals of one recording, with what the model lacked before."""
+        traces = dict(self.base.traces(hypothesis, recording))
+        near = self.layout.recording == recording
+        channels = len(self.layout.channels)
+        time = self.layout.time[near][::channels]
+        rows = np.searchsorted(traces["time"], time - 1e-9)
+        simulated = np.array(traces["simulated"], dtype=float)
+        simulated[rows] += self.correction[near].reshape(-1, channels)
+        return {**traces, "simulated": simulated}

@@ -1,0 +1,163 @@
+"""What a calibration fitted, and what was known before, for programs and for people."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+
+import mujoco
+
+from rlco.gap.calibrate.summary import Before, Summary
+from rlco.gap.compare.problem import NamedEffect
+from rlco.gap.compare.wording import amount, in_words, number, title_of
+from rlco.gap.report.report_json import effect_json
+from rlco.reporting import html
+
+_SHOWN = 12  # numbers in the page's table
+
+
+def effects_json(
+    found: Sequence[NamedEffect], beyond: Sequence[NamedEffect], model: mujoco.MjModel
+) -> dict[str, object]:
+    """Return ``effects`` of ``report.json``, which tells what a calibration found."""
+    rows = [effect_json(one, model) for one in (*found, *beyond)]
+    marks = [one.calibrated for one in (*found, *beyond)]
+    return {
+        "effects": [
+            row | {"calibrated": mark} for row, mark in zip(rows, marks, strict=True)
+        ]
+    }
+
+
+def calibration_json(summary: Summary, model: mujoco.MjModel) -> dict[str, object]:
+    """Return ``calibration`` of ``report.json``.
+
+    Args:
+        summary: The calibration.
+        model: The model without it.
+    """
+    channels = zip(
+        summary.channels,
+        summary.units,
+        summary.nominal,
+        summary.calibrated,
+        strict=True,
+    )
+    return {
+        "channels": [
+            {
+                "name": name,
+                "unit": unit,
+                "nominal_rms": float(nominal),
+                "calibrated_rms": float(calibrated),
+            }
+            for name, unit, nominal, calibrated in channels
+        ],
+        "numbers": summary.rows(model),
+    }
+
+
+def reference_json(summary: Summary, before: Before) -> dict[str, object]:
+    """Return ``reference`` of ``report.json``: before, after, and the difference."""
+    channels = zip(
+        summary.channels,
+        summary.units,
+        summary.nominal,
+        summary.calibrated,
+        before.explained,
+        before.unknown,
+        before.after,
+        before.changed,
+        strict=True,
+    )
+    names = (
+        "nominal_rms",
+        "calibrated_rms",
+        "explained_by_motion",
+        "unknown",
+        "difference_rms",
+        "difference_left_rms",
+    )
+    return {
+        "recordings": before.recordings,
+        "seconds": before.seconds,
+        "channels": [
+            {"name": name, "unit": unit}
+            | {key: float(value) for key, value in zip(names, values, strict=True)}
+            for name, unit, *values in channels
+        ],
+    }
+
+
+def reference_section(
+    summary: Summary | None, before: Before | None, *, named: bool
+) -> str:
+    """Return before, after and the difference as HTML; empty without a reference."""
+    if summary is None or before is None:
+        return ""
+    head = ["", "before: model as it is", "before: calibrated", "what is not known"]
+    head += ["after: difference to before"]
+    head += ["left by what is named"] if named else []
+    columns = (
+        summary.nominal,
+        summary.calibrated,
+        before.unknown,
+        before.after,
+        before.changed,
+    )
+    rows = [
+        [
+            escape(name),
+            *(escape(amount(float(column[i]), summary.units[i])) for column in columns),
+        ][: len(head)]
+        for i, name in enumerate(summary.channels)
+    ]
+    return (
+        "<h2>Before, after, and the difference</h2>\n"
+        + html.table(head, rows)
+        + '<p class="quiet">Root mean squares. The recordings before '
+        f"({before.recordings}, {before.seconds:.0f} s) calibrated the model; what it "
+        "still lacks there is taken as known where the later motion is alike. What is "
+        "not known is what any difference is held against.</p>"
+    )
+
+
+def calibration_section(
+    summary: Summary | None,
+    beyond: Sequence[NamedEffect],
+    model: mujoco.MjModel | None,
+) -> str:
+    """Return the calibrated numbers as HTML; empty without a calibration."""
+    if summary is None or model is None:
+        return ""
+    rows = []
+    for row in summary.rows(model)[:_SHOWN]:
+        unit = str(row["unit"])
+        value, low, high = (_text(row[key]) for key in ("value", "low", "high"))
+        mark = "beyond 95 %" if row["beyond_prior"] else ""
+        rows.append(
+            [
+                escape(title_of(f"{row['name']} {row['target']}")),
+                escape(in_words(str(row["parameter"]))),
+                escape(f"{value} {unit}".strip()) + f"<br>{low} to {high}",
+                f"{row['prior_deviations']:+.1f}",
+                mark,
+            ]
+        )
+    fitted = len(summary.calibration.amounts)
+    told = f"{len(beyond)} effects are listed above as found by it." if beyond else ""
+    return (
+        "<h2>Calibration</h2>\n"
+        f"<p>{fitted} numbers that are always a little wrong were fitted under their "
+        f"priors before the search. {escape(told)} The furthest from the model:</p>\n"
+        + html.table(
+            ["number", "", "fitted, 90 %", "standard deviations of its prior", ""], rows
+        )
+        + '<p class="quiet">Numbers of a link are relative to its own size; mass is '
+        "half a logarithm. A number by itself may be undetermined where another makes "
+        "up for it.</p>"
+    )
+
+
+def _text(value: object) -> str:
+    return number(float(str(value)))

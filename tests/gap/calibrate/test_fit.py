@@ -1,0 +1,77 @@
+"""Calibration: what recordings tell is found, and what they do not keeps its prior."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mujoco
+import numpy as np
+import pytest
+from hidden_arms import TURNTABLES, record
+from recorded_torques import XML, record_torques, wrong_everywhere
+
+from rlco.gap.calibrate.fit import Calibration, calibrate
+from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.compare.torque.torque_log import TorqueLog
+
+
+def found(calibration: Calibration, name: str, target: str, parameter: str) -> float:
+    """Return the value of a number."""
+    for number, amount in zip(calibration.numbers, calibration.amounts, strict=True):
+        if (number.name, number.target, number.parameter) == (name, target, parameter):
+            return number.value(float(amount))
+    raise KeyError(name)
+
+
+@pytest.fixture(scope="module")
+def calibration() -> Calibration:
+    log = record_torques(wrong_everywhere)
+    return calibrate(TorqueLog(mujoco.MjSpec.from_string(XML), log, window=0.1))
+
+
+def test_a_model_that_is_wrong_everywhere_agrees_afterwards(
+    calibration: Calibration,
+) -> None:
+    assert calibration.cost_before > 100.0
+    assert calibration.cost < 3.0
+
+
+def test_friction_is_that_which_was_hidden(calibration: Calibration) -> None:
+    for joint, hidden in (("shoulder", 0.05), ("elbow", 0.03)):
+        friction = found(calibration, "coulomb_friction", joint, "frictionloss")
+        assert friction == pytest.approx(hidden, abs=0.012)
+
+
+def test_what_the_motion_does_not_show_keeps_its_prior() -> None:
+    # Turntables: nothing tells how far a link reaches along its axis.
+    def spun(model: mujoco.MjModel) -> None:
+        model.dof_damping[:] *= 1.3
+
+    log = record(spun, xml=TURNTABLES, episodes=2)
+    torques = tuple(
+        replace(one, torque=0.2 * np.asarray(one.velocity), command=None)
+        for one in log.recordings
+    )
+    spec = mujoco.MjSpec.from_string(TURNTABLES)
+    found = calibrate(TorqueLog(spec, replace(log, recordings=torques)), steps=2)
+    deviation = np.sqrt(np.diag(found.covariance))
+    for number, amount, left in zip(
+        found.numbers, found.amounts, deviation, strict=True
+    ):
+        if number.parameter == "z":
+            assert abs(amount) < 0.01
+            assert left == pytest.approx(1.0, abs=0.01)
+
+
+def test_of_rollouts_only_link_numbers_that_matter_are_fitted() -> None:
+    def damped(model: mujoco.MjModel) -> None:
+        model.dof_damping[:] += 0.6
+
+    log = record(damped, xml=TURNTABLES, episodes=3)
+    spec = mujoco.MjSpec.from_string(TURNTABLES)
+    fitted = calibrate(ArmRollouts(spec, log, np.full(2, 4e-4), threads=1))
+    # Five numbers a joint; each link about a vertical axis has one inertia.
+    assert fitted.basis.shape[1] <= 2 * 5 + 2 * 3
+    assert found(fitted, "viscous_damping", "shoulder", "damping") == pytest.approx(
+        0.6, rel=0.25
+    )
