@@ -44,6 +44,11 @@ class Config(RunOptions):
         None, "effects.yaml: what to add to the domain's simulator"
     )
     backend: Literal["native", "robosuite"] = option("native", "who steps the model")
+    renderer: Literal["raster", "opengl"] | None = option(
+        None,
+        "what draws the images of a policy that reads some; null: what it was trained "
+        "with",
+    )
     episodes: int = option(256, "episodes, the first ones of the seed", minimum=1)
     videos: int = option(0, "episodes to film", minimum=0)
     effects_code: str | None = option(
@@ -58,6 +63,7 @@ def main(config: Config) -> None:
         evaluation_domains,
         evaluation_env,
         final_states_seed,
+        read_by,
         record_video,
     )
     from rlco.physics.effects import load_code
@@ -70,7 +76,7 @@ def main(config: Config) -> None:
     if config.videos:
         check_filmed(config.task)
     policy = load_task_policy(config.policy, named_task(config.task))
-    check_rendered(policy, config.task)
+    check_rendered(policy, config.task, config.renderer)
     # What is filmed is what is counted.
     options: dict[str, Any] = {
         "chunk": policy.chunk,
@@ -83,7 +89,7 @@ def main(config: Config) -> None:
         config.task,
         domain,
         episodes=config.episodes,
-        image_size=policy.image_size,
+        **read_by(policy, config.renderer),
         **options,
     )
     with Run(config, "evaluate") as run:
@@ -107,6 +113,7 @@ def main(config: Config) -> None:
                 domain,
                 path,
                 index=index,
+                renderer=config.renderer,
                 **options,
             )
             log.info("video: %s", path)

@@ -126,6 +126,11 @@ class Config(RunOptions):
     max_grad_norm: float = option(
         1.0, "clip of the gradient's norm; inf: none", minimum=0, infinite=True
     )
+    renderer: Literal["raster", "opengl"] = option(
+        "raster",
+        "what draws the images: rlco's own renderer, or OpenGL",
+        earlier="opengl",
+    )
     eval_every: int = option(10, "rollouts between evaluations", minimum=1)
     eval_episodes: int = option(64, "episodes of an evaluation; 0: none", minimum=0)
     save_every: int = option(50, "rollouts between checkpoints", minimum=1)
@@ -147,7 +152,7 @@ class Config(RunOptions):
 def check(config: Config) -> None:
     """Check the options, before anything large is loaded."""
     from rlco.lerobot_files import read_folder
-    from rlco.physics.rendering.camera import check_rendering
+    from rlco.physics.rendering.renderers import check_can_render
     from rlco.policies.densities.flow_chain import FlowChain
     from rlco.policies.vla.lerobot.checkpoint import lerobot_config
     from rlco.policies.vla.lerobot.flow_model import CHECKPOINTING
@@ -173,7 +178,7 @@ def check(config: Config) -> None:
     camera_of(checkpoint, config.camera)
     if config.real_demos is not None:
         read_folder(config.real_demos)
-    check_rendering()
+    check_can_render(config.renderer)
 
 
 def own_code(config: Config) -> tuple[str, ...]:
@@ -276,6 +281,7 @@ def train(
         critic,
         chunk=policy.executed,
         image_size=policy.inputs.image_size,
+        renderer=config.renderer,
         prepare=partial(add_next_summaries, summary=policy.new_summary),
     )
     episodes = config.eval_episodes
@@ -285,6 +291,7 @@ def train(
         chunk=policy.executed,
         episodes=episodes,
         image_size=policy.inputs.image_size,
+        renderer=config.renderer,
     )
     if run.step is None:
         before = success_rates(policy, envs, episodes, 0)

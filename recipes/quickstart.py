@@ -192,6 +192,7 @@ def record(config: Config, folder: Path) -> dict[str, str]:
             episodes=episodes,
             camera=SIM_CAMERA if images else None,
             image_size=config.image_size if images else None,
+            renderer=config.renderer,
             seed=500_000 + seed,  # far from the seeds of rollouts and evaluations
         )
     return {name: str(folder / name) for name in plan}
@@ -219,7 +220,7 @@ def reinforce(
 ) -> ChunkPolicy:
     """Return a policy of Stage II, trained as rl_co.py trains it."""
     from rlco.collectors import check_signal, make_collector
-    from rlco.evaluation import evaluation_envs, success_rates
+    from rlco.evaluation import evaluation_envs, read_by, success_rates
     from rlco.losses import CoTrainingLoss, ImitationLoss
     from rlco.policies import save_policy
     from rlco.training.held_out import HeldOut
@@ -257,6 +258,7 @@ def reinforce(
             backend=options.backend,
             chunk=policy.chunk,
             image_size=policy.image_size,
+            renderer=policy.renderer,
             prepare=fix_pose_range(critic, policy) if stage.step is None else None,
         )
         episodes = options.eval_episodes
@@ -265,7 +267,7 @@ def reinforce(
             domains,
             chunk=policy.chunk,
             episodes=episodes,
-            image_size=policy.image_size,
+            **read_by(policy),
         )
         held_out = HeldOut(policy, data.heldout)  # before a checkpoint is loaded
         if stage.step is None:
@@ -313,7 +315,7 @@ def compare(
 
     What the last method gains over the others is printed with its paired interval.
     """
-    from rlco.evaluation import evaluate, evaluation_env, final_states_seed
+    from rlco.evaluation import evaluate, evaluation_env, final_states_seed, read_by
     from rlco.reporting.differences import last_differences
 
     rows = []
@@ -324,7 +326,7 @@ def compare(
             domain,
             chunk=one.chunk,
             episodes=config.eval_episodes,
-            image_size=one.image_size,
+            **read_by(one),
             seed=final_states_seed(config.seed),
         )
         for method, policy in policies.items():

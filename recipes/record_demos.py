@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from typing import Literal
 
 from rlco.run import run_recipe
 from rlco.runs.config import LAST_SEED, REQUIRED, option
@@ -48,6 +49,9 @@ class Config:
         None, "camera to record, such as agentview; null: no images"
     )
     image_size: int | None = option(None, "side of its images [pixels]", minimum=16)
+    renderer: Literal["raster", "opengl"] = option(
+        "raster", "what draws them: rlco's own renderer, or OpenGL"
+    )
     video: bool = option(False, "keep images as video, small and lossy, not as PNG")
 
 
@@ -67,6 +71,7 @@ def main(config: Config) -> None:
         effects=config.effects,
         camera=config.camera,
         image_size=config.image_size,
+        renderer=config.renderer,
         video=config.video,
     )
     log.info(

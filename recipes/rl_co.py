@@ -64,7 +64,7 @@ def train(
         What each saved policy reaches.
     """
     from rlco.collectors import check_signal, make_collector
-    from rlco.evaluation import evaluation_envs, final_rows, success_rates
+    from rlco.evaluation import evaluation_envs, final_rows, read_by, success_rates
     from rlco.losses import CoTrainingLoss, ImitationLoss
     from rlco.policies import save_policy
     from rlco.training.held_out import HeldOut
@@ -94,6 +94,7 @@ def train(
         backend=config.backend,
         chunk=policy.chunk,
         image_size=policy.image_size,
+        renderer=policy.renderer,
         prepare=fix_pose_range(critic, policy) if run.step is None else None,
     )
     episodes = config.eval_episodes
@@ -102,7 +103,7 @@ def train(
         domains,
         chunk=policy.chunk,
         episodes=episodes,
-        image_size=policy.image_size,
+        **read_by(policy),
     )
     best = best_policy(config, policy)
     held_out = HeldOut(policy, demos.heldout)  # before a checkpoint is loaded

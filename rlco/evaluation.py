@@ -188,7 +188,8 @@ def final_rows(
     and one seed can be compared in pairs.
 
     Args:
-        policy: See `evaluate`; has ``chunk``, ``image_size`` and ``kind``.
+        policy: See `evaluate`; has ``chunk``, ``image_size``, ``renderer`` and
+            ``kind``.
         domains: By their names.
         episodes: In each; 0: no rows.
         method: What the rows call it.
@@ -202,7 +203,7 @@ def final_rows(
         domains,
         chunk=policy.chunk,
         episodes=episodes,
-        image_size=policy.image_size,
+        **read_by(policy),
         seed=final_states_seed(seed),
     )
     rows = []
@@ -289,6 +290,26 @@ def evaluation_envs(
     }
 
 
+def read_by(policy: Any, renderer: str | None = None) -> dict[str, Any]:
+    """Return the options of `make_env` for the images that a policy reads.
+
+    Args:
+        policy: Has ``image_size``, None where it reads none, and may have ``renderer``.
+        renderer: What is to draw them; None: what the policy was trained with.
+
+    Example:
+        >>> from rlco.policies import GaussianPolicy
+        >>> image = {"kind": "conv", "size": (64, 64)}
+        >>> read_by(GaussianPolicy(7, chunk=4, image=image))
+        {'image_size': (64, 64), 'renderer': 'opengl'}
+    """
+    size = getattr(policy, "image_size", None)
+    if size is None:
+        return {"image_size": None}
+    trained = getattr(policy, "renderer", "opengl")
+    return {"image_size": size, "renderer": renderer or trained}
+
+
 def evaluation_env(
     task: str, domain: GivenDomain, *, chunk: int, episodes: int, **options: Any
 ) -> ChunkEnv:
@@ -324,6 +345,7 @@ def record_video(
     chunk: int,
     index: int = 0,
     image_size: tuple[int, int] = (240, 320),
+    renderer: str | None = None,
     **options: Any,
 ) -> Film:
     """Write one episode as an mp4 video, one frame per decision; return what it shows.
@@ -338,6 +360,8 @@ def record_video(
         chunk: Control steps of a decision.
         index: Number of the episode.
         image_size: Height and width of the frames of a policy that reads none.
+        renderer: What draws the images that a policy reads; None: what it was trained
+            with. Frames of a policy that reads none are OpenGL's.
         **options: Further options of `make_env` (``backend``, ``variation``,
             ``effects``, ``seed``): the same as in the evaluation, for its episode.
 
@@ -345,12 +369,14 @@ def record_video(
         RenderingError: If no renderer is available.
     """
     image_read = getattr(policy, "image_size", None)
+    drawn = {"image_size": image_size, "image_quality": "robosuite"}
+    if image_read:
+        drawn = read_by(policy, renderer)
     env = make_env(
         task,
         domain=domain,
         chunk=chunk,
-        image_size=image_read or image_size,
-        image_quality="fast" if image_read else "robosuite",
+        **drawn,
         **{"seed": EVALUATION_SEED, **options},
     )
     env.start_at(index)

@@ -48,6 +48,7 @@ def make_collector(
     *,
     chunk: int,
     image_size: tuple[int, int] | None,
+    renderer: Literal["raster", "opengl"] = "opengl",
     backend: Literal["native", "robosuite"] = "native",
     prepare: Callable[[TensorDictBase], None] | None = None,
 ) -> RolloutCollector:
@@ -59,6 +60,7 @@ def make_collector(
         critic: See `RolloutCollector`.
         chunk: Control steps of a decision.
         image_size: Height and width of the images that the policy reads; None: none.
+        renderer: What draws these images.
         backend: Who steps the model.
         prepare: See `RolloutCollector`.
     """
@@ -71,6 +73,7 @@ def make_collector(
         reward=options.reward,
         horizon=training_horizon(options.task, options.horizon),
         image_size=image_size,
+        renderer=renderer if image_size else "opengl",
         seed=options.seed,
     )
     return RolloutCollector(

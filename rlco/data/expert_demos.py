@@ -16,8 +16,10 @@ from rlco.data.filming import film_demonstrations, film_failure
 from rlco.data.recording import DemoWriter
 from rlco.errors import ConfigError, RenderingError, RlcoError
 from rlco.physics.effects.corrected_model import Given
+from rlco.physics.rendering.renderers import check_renderer
 from rlco.physics.robosuite.options import PREFIX
 from rlco.physics.spec.domain import Domain, GivenDomain, make_domain
+from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.task import Task
 from rlco.physics.tasks.demonstrate import (
     Demonstration,
@@ -41,6 +43,7 @@ def record_demonstrations(
     effects: Given = None,
     camera: str | None = None,
     image_size: int | None = None,
+    renderer: Renderer = "opengl",
     video: bool = False,
 ) -> int:
     """Record demonstrations of a task's expert as a LeRobot v3 data set.
@@ -55,6 +58,7 @@ def record_demonstrations(
         effects: Effects to add to the simulator, see `rlco.envs.make_env`.
         camera: Camera to record; None: no images.
         image_size: Side of its images [pixels].
+        renderer: What draws them, ``raster`` or ``opengl``.
         video: Keep images as video, small and lossy, not as PNG.
 
     Returns:
@@ -73,6 +77,7 @@ def record_demonstrations(
             "demonstrations of it elsewhere and give their LeRobot folder to sft.py."
         )
     check_new_folder(Path(path))
+    check_renderer(renderer)
     what, where = make_task(task), make_domain(domain)
     given: dict[str, Any] = {
         "episodes": episodes,
@@ -81,7 +86,7 @@ def record_demonstrations(
         "effects": effects,
     }
     size = None if image_size is None else (image_size, image_size)
-    demonstrations = _played(what, where, camera, size, given)
+    demonstrations = _played(what, where, camera, size, renderer, given)
     frames = 0
     with _filmed_failure(Path(path), what, where, effects):
         # Effects that cannot be are noticed by the first one, before there is a folder.
@@ -143,6 +148,7 @@ def _played(
     domain: Domain,
     camera: str | None,
     size: tuple[int, int] | None,
+    renderer: Renderer,
     given: dict[str, Any],
 ) -> Iterator[tuple[Demonstration, Any]]:
     """Return demonstrations, each with its images: None a frame without a camera."""
@@ -153,7 +159,9 @@ def _played(
     if camera is None or size is None:
         plain = demonstrate(task, domain, **given)
         return ((one, [None] * len(one.action)) for one in plain)
-    return film_demonstrations(task, domain, camera=camera, image_size=size, **given)
+    return film_demonstrations(
+        task, domain, camera=camera, image_size=size, renderer=renderer, **given
+    )
 
 
 def _write(writer: DemoWriter, demonstration: Demonstration, images: Any) -> None:

@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 from rlco.physics.effects.corrected_model import Given
 from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.rendering.camera import Camera
+from rlco.physics.rendering.raster import RasterCamera
+from rlco.physics.rendering.renderers import make_camera
 from rlco.physics.spec.domain import GivenDomain
+from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.task import InitialState, SceneState, Task
 from rlco.physics.tasks.demonstrate import (
     Demonstration,
@@ -35,6 +38,7 @@ def film_demonstrations(
     seed: int,
     noise: float = 0.1,
     effects: Given = None,
+    renderer: Renderer = "opengl",
 ) -> Iterator[tuple[Demonstration, Images]]:
     """Yield demonstrations, as `demonstrate` does, each with camera images.
 
@@ -51,6 +55,7 @@ def film_demonstrations(
         seed: Draws initial states, sensor noise and command noise.
         noise: Standard deviation of command noise, in units of the action's range.
         effects: Effects to add to the model, see `rlco.envs.make_env`.
+        renderer: What draws the images, ``raster`` or ``opengl``.
 
     Returns:
         Demonstrations of L control steps, each with uint8 (L, 3, height, width).
@@ -61,7 +66,7 @@ def film_demonstrations(
         RlcoError: If the expert fails in more than half of many episodes.
     """
     stage = NativeStepper(task, domain, num_envs=1, effects=effects)
-    eye = Camera(stage.model, image_size, name=camera)
+    eye = make_camera(stage.model, image_size, camera, renderer=renderer)
     watch = _Watch(task, min(SIDE_BY_SIDE, episodes))
     demonstrations = demonstrate(
         watch.task,
@@ -145,7 +150,10 @@ class _Watch:
 
 
 def _film(
-    stage: NativeStepper, eye: Camera, start: InitialState, played: Demonstration
+    stage: NativeStepper,
+    eye: Camera | RasterCamera,
+    start: InitialState,
+    played: Demonstration,
 ) -> Images:
     """Return an image of each state in which an action was taken."""
     stage.reset([start])

@@ -15,10 +15,12 @@ from rlco.physics.effects.corrected_model import Given
 from rlco.physics.effects.effects_file import EffectsFile
 from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.native.world_checks import check_native
-from rlco.physics.rendering.camera import Quality, check_quality
+from rlco.physics.rendering.camera import Quality
+from rlco.physics.rendering.renderers import check_renderer
 from rlco.physics.robosuite.options import PREFIX
 from rlco.physics.robosuite.stepper import RobosuiteStepper
 from rlco.physics.spec.domain import GivenDomain, make_domain, with_effects
+from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.stepper import Stepper
 from rlco.physics.spec.task import Task
 from rlco.physics.tasks.make_task import make_task
@@ -39,6 +41,7 @@ def make_env(
     horizon: int | None = None,
     image_size: tuple[int, int] | None = None,
     image_quality: Quality = "fast",
+    renderer: Renderer = "opengl",
     variation: str | None = None,
     effects: Given = None,
     effects_code: str | Path | None = None,
@@ -64,6 +67,8 @@ def make_env(
         image_size: Height and width of camera frames; None: no images.
         image_quality: ``fast``, or ``robosuite`` for robosuite's own pixels, about ten
             times slower.
+        renderer: ``opengl``, or ``raster``, rlco's own: several times faster without a
+            GPU, in the threads that step, and without an OpenGL library.
         variation: A named variation of the scene, one of the task's.
         effects: Physical effects to add to the domain's: a list of
             `rlco.physics.effects.AppliedEffect`, or the path of an ``effects.yaml``.
@@ -108,7 +113,12 @@ def make_env(
         raise RlcoError(
             f"image_size={image_size} is not allowed; give (height, width) in pixels."
         )
-    check_quality(image_quality)
+    check_renderer(renderer, image_quality)
+    if renderer != "opengl" and image_size is None:
+        raise RlcoError(
+            f"renderer={renderer!r} is of no use without images; give "
+            "image_size=(height, width), or leave it out."
+        )
     if image_quality != "fast" and image_size is None:
         raise RlcoError(
             f"image_quality={image_quality!r} is of no use without images; give "
@@ -171,6 +181,7 @@ def make_env(
         horizon=horizon,
         image_size=image_size,
         image_quality=image_quality,
+        renderer=renderer,
         variation=variation,
         seed=seed,
         on_divergence=on_divergence,

@@ -7,8 +7,10 @@ import torch
 from numpy.typing import NDArray
 
 from rlco.envs.chunk_env import ChunkEnv, OnDivergence, RewardKind
-from rlco.physics.rendering.camera import Camera, Quality
+from rlco.physics.rendering.camera import Quality
+from rlco.physics.rendering.renderers import Frames, frames_of
 from rlco.physics.spec.domain import Domain
+from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.observation import noise_size, observe
 from rlco.physics.spec.stepper import Stepper
 from rlco.physics.spec.task import Array, InitialState, SceneState, Task
@@ -26,7 +28,8 @@ class TabletopEnv(ChunkEnv):
         reward: ``shaped`` or ``sparse``.
         horizon: Episode length in control steps; the task's own by default.
         image_size: Height and width of camera frames; None: no images.
-        image_quality: ``fast`` or ``robosuite``, see `Camera`.
+        image_quality: Of ``opengl``: ``fast`` or ``robosuite``.
+        renderer: ``raster`` or ``opengl``.
         variation: A named variation of the task's initial states.
         seed: Draws initial states and sensor noise.
         on_divergence: ``reset`` or ``raise``.
@@ -49,6 +52,7 @@ class TabletopEnv(ChunkEnv):
         variation: str | None,
         seed: int,
         on_divergence: OnDivergence = "reset",
+        renderer: Renderer = "opengl",
     ) -> None:
         super().__init__(
             task,
@@ -63,10 +67,12 @@ class TabletopEnv(ChunkEnv):
         self.stepper = stepper
         self._reward_kind = reward
         self._variation = variation
-        self._camera: Camera | None = None
+        self._frames: Frames | None = None
         self._image_size = image_size
         if image_size is not None:
-            self._camera = Camera(stepper.model, image_size, quality=image_quality)
+            self._frames = frames_of(
+                stepper, image_size, renderer=renderer, quality=image_quality
+            )
             self._images = np.zeros((num_envs, 3, *image_size), dtype=np.uint8)
         # One row of sensor noise for the start and for each decision of an episode.
         decisions = -(-self.horizon // chunk)
@@ -106,10 +112,8 @@ class TabletopEnv(ChunkEnv):
 
     def _render(self, which: NDArray[np.int64]) -> None:
         """Renew the frames of the worlds that have moved."""
-        if self._camera is not None:
-            for env in which.tolist():
-                data, model = self.stepper.data[env], self.stepper.model_of(env)
-                self._images[env] = self._camera.frame(data, model=model)
+        if self._frames is not None:
+            self._frames.draw(which, self._images)
 
     def _seen(self) -> dict[str, torch.Tensor]:
         row = -(-self._elapsed // self.chunk)
@@ -120,7 +124,7 @@ class TabletopEnv(ChunkEnv):
             "state": torch.from_numpy(robot).float(),
             "environment_state": torch.from_numpy(environment).float(),
         }
-        if self._camera is not None:
+        if self._frames is not None:
             observed["image"] = torch.from_numpy(self._images.copy())
         return observed
 
@@ -135,6 +139,6 @@ class TabletopEnv(ChunkEnv):
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """Free the rendering context too."""
-        if self._camera is not None:
-            self._camera.close()
+        if self._frames is not None:
+            self._frames.close()
         super().close(raise_if_closed=raise_if_closed)

@@ -106,6 +106,12 @@ class PolicyOptions(KindOptions, AugmentOptions):
     image_size: int = option(
         64, "side of the images that it reads [pixels]", minimum=64, maximum=224
     )
+    renderer: Literal["raster", "opengl"] = option(
+        "raster",
+        "what draws the simulator's images: rlco's own renderer, or OpenGL; the "
+        "demonstrations' must be the same",
+        earlier="opengl",
+    )
     image_weights: str | None = option(
         None,
         "mobilenet: file of torchvision's weights, mobilenet_v2-b0353104.pth",
@@ -155,14 +161,19 @@ def check_image_options(options: PolicyOptions) -> None:
         raise ConfigError(problems)
 
 
-def check_rendered(policy: ChunkPolicy, task: str) -> None:
+def check_rendered(policy: ChunkPolicy, task: str, renderer: str | None = None) -> None:
     """Check that the simulator can render what a policy of a task reads.
+
+    Args:
+        policy: The policy.
+        task: The task's name.
+        renderer: What is to draw it; None: what the policy was trained with.
 
     Raises:
         RlcoError: The task's environments have no images.
         RenderingError: Nothing can render.
     """
-    from rlco.physics.rendering.camera import check_rendering
+    from rlco.physics.rendering.renderers import check_can_render
     from rlco.physics.robosuite.options import PREFIX
 
     if policy.image_size is None:
@@ -172,7 +183,7 @@ def check_rendered(policy: ChunkPolicy, task: str) -> None:
             f"images are not supported for {task!r}, one of robosuite's own tasks; "
             "give image=none, or one of rlco's tasks."
         )
-    check_rendering()
+    check_can_render(renderer or policy.renderer)
 
 
 def check_filmed(task: str) -> None:
@@ -227,11 +238,12 @@ def _image_arguments(options: PolicyOptions) -> Any:
     if options.image == "none":
         return None
     size = (options.image_size, options.image_size)
+    shared = {"size": size, "renderer": options.renderer, "camera": SIM_CAMERA}
     if options.image == "conv":
-        return {"kind": "conv", "size": size}
+        return {"kind": "conv", **shared}
     return {
         "kind": "mobilenet",
-        "size": size,
+        **shared,
         "weights": options.image_weights,
         "frozen": options.image_frozen,
     }

@@ -18,7 +18,7 @@ from tensordict import TensorDict, TensorDictBase
 
 from rlco.data import DemoWriter
 from rlco.errors import CheckpointError, NonFiniteError, RenderingError
-from rlco.physics.rendering import camera
+from rlco.physics.rendering import renderers
 from rlco.physics.spec.names import ACTION_NAMES, STATE_NAMES
 from rlco.policies.tiny.smolvla import write_tiny_smolvla
 from rlco.policies.vla.lerobot.inputs import dataset_stats
@@ -429,8 +429,9 @@ def test_a_machine_that_cannot_draw_is_told_before_the_weights_are_read(
     def fail() -> None:
         raise RenderingError("egl", "no library")
 
-    monkeypatch.setattr(camera, "check_rendering", fail)
-    given = [f"policy={empty}", "real_coeff=0", f"out={tmp_path / 'out'}"]
+    monkeypatch.setattr(renderers, "check_rendering", fail)
+    given = [f"policy={empty}", "real_coeff=0", "renderer=opengl"]
+    given.append(f"out={tmp_path / 'out'}")
     assert "no library" in refused(capsys, RECIPE, *given)
 
 

@@ -47,22 +47,58 @@ mj_jacSite = types.ExternalFunction(
 )
 
 
-@intrinsic
-def _as_float_pointer(typing_context: Any, address: Any) -> Any:
-    """Reinterpret an integer address as a pointer to doubles."""
-    pointer = types.CPointer(types.float64)
+def _pointer_to(kind: Any) -> Any:
+    """Return a compiled function that reinterprets an integer address as a pointer."""
+    pointer = types.CPointer(kind)
 
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        return builder.inttoptr(args[0], context.get_value_type(pointer))
+    @intrinsic
+    def reinterpret(typing_context: Any, address: Any) -> Any:
+        def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            return builder.inttoptr(args[0], context.get_value_type(pointer))
 
-    return pointer(types.intp), generate
+        return pointer(types.intp), generate
+
+    return reinterpret
+
+
+_as_doubles = _pointer_to(types.float64)
+_as_floats = _pointer_to(types.float32)
+_as_integers = _pointer_to(types.int32)
+_as_bytes = _pointer_to(types.uint8)
+_as_addresses = _pointer_to(types.intp)
 
 
 @njit(inline="always")
 def doubles(address: int, size: int) -> NDArray[np.float64]:
     """Return a view of `size` doubles at an address, shape (size,)."""
-    view: NDArray[np.float64] = carray(_as_float_pointer(address), (size,))
+    view: NDArray[np.float64] = carray(_as_doubles(address), (size,))
     return view
+
+
+@njit(inline="always")
+def floats(address: int, size: int) -> NDArray[np.float32]:
+    """Return a view of `size` single-precision numbers at an address, (size,)."""
+    view: NDArray[np.float32] = carray(_as_floats(address), (size,))
+    return view
+
+
+@njit(inline="always")
+def integers(address: int, size: int) -> NDArray[np.int32]:
+    """Return a view of `size` 32-bit integers at an address, shape (size,)."""
+    view: NDArray[np.int32] = carray(_as_integers(address), (size,))
+    return view
+
+
+@njit(inline="always")
+def flag_at(address: int) -> bool:
+    """Return whether the byte at an address is not zero."""
+    return bool(carray(_as_bytes(address), (1,))[0])
+
+
+@njit(inline="always")
+def pointer_at(address: int) -> int:
+    """Return the address that is stored at an address."""
+    return int(carray(_as_addresses(address), (1,))[0])
 
 
 def address_of(array: NDArray[Any]) -> int:

@@ -9,7 +9,7 @@ robosuite's order; a test compares the motions.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -111,6 +111,17 @@ class NativeStepper:
     def model_of(self, number: int) -> mujoco.MjModel:
         """Return one world's model, to render it; valid until the next call."""
         return self.worlds.model_of(number)
+
+    @property
+    def model_addresses(self) -> NDArray[np.int64]:
+        """Addresses of the worlds' models, which compiled code reads, (N,)."""
+        return self.worlds.memory.models
+
+    def run_over(
+        self, kernel: Callable[..., None], count: int, *arguments: Any
+    ) -> None:
+        """Run a compiled loop over `count` worlds, in the threads that step them."""
+        self.worlds.run_over(kernel, count, *arguments)
 
     @property
     def data(self) -> list[mujoco.MjData]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -102,19 +103,27 @@ class Worlds:
         self.restore_models(np.arange(num_envs))
         self._compiler: tuple[mujoco.MjModel, mujoco.MjData] | None = None
         self._compiled_arrays: set[str] = set()
-        count = min(threads or os.cpu_count() or 1, num_envs)
-        self._pool = ThreadPoolExecutor(count) if count > 1 else None
-        # Several ranges per thread: worlds in contact take longer than others.
-        parts = min(num_envs, 4 * count) if count > 1 else 1
-        edges = np.linspace(0, num_envs, parts + 1).astype(int)
-        self._ranges = list(zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True))
+        self._threads = min(threads or os.cpu_count() or 1, num_envs)
+        self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
 
     def run(self, kernel: Callable[..., None], *arguments: Any) -> None:
         """Run a compiled loop over all worlds, in threads."""
-        if self._pool is None:
-            kernel(0, self.num_envs, *arguments)
+        self.run_over(kernel, self.num_envs, *arguments)
+
+    def run_over(
+        self, kernel: Callable[..., None], count: int, *arguments: Any
+    ) -> None:
+        """Run a compiled loop, ``kernel(first, last, *arguments)``, over [0, count)."""
+        if self._pool is None or count <= 1:
+            kernel(0, count, *arguments)
             return
-        jobs = [self._pool.submit(kernel, *r, *arguments) for r in self._ranges]
+        # Several ranges per thread: worlds in contact take longer than others.
+        parts = min(count, 4 * self._threads)
+        edges = np.linspace(0, count, parts + 1).astype(int).tolist()
+        jobs = [
+            self._pool.submit(kernel, first, last, *arguments)
+            for first, last in itertools.pairwise(edges)
+        ]
         for job in jobs:
             job.result()
 

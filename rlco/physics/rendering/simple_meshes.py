@@ -28,8 +28,8 @@ def merge_vertices(model: mujoco.MjModel, cell: float) -> None:
     for mesh in range(model.nmesh):
         vertices = _rows(model.mesh_vert, model.mesh_vertadr, model.mesh_vertnum, mesh)
         faces = _rows(model.mesh_face, model.mesh_faceadr, model.mesh_facenum, mesh)
-        merged = _representatives(vertices, cell)[faces]
-        kept = _distinct(merged, len(vertices))
+        merged = representatives(vertices, cell)[faces]
+        kept = distinct_faces(merged, len(vertices))
         first, count = model.mesh_faceadr[mesh], len(kept)
         model.mesh_face[first : first + count] = merged[kept]
         corners = [model.mesh_facenormal]
@@ -81,7 +81,7 @@ def _rows(values: Any, address: Any, number: Any, index: int) -> Any:
     return values[address[index] : address[index] + number[index]]
 
 
-def _representatives(vertices: Any, cell: float) -> NDArray[np.int64]:
+def representatives(vertices: Any, cell: float) -> NDArray[np.int64]:
     """Return the vertex that represents each vertex, shape (V,)."""
     grid = np.floor(vertices / cell).astype(np.int64)
     grid -= grid.min(axis=0)
@@ -97,7 +97,7 @@ def _representatives(vertices: Any, cell: float) -> NDArray[np.int64]:
     return stays
 
 
-def _distinct(faces: Any, vertices: int) -> NDArray[np.int64]:
+def distinct_faces(faces: Any, vertices: int) -> NDArray[np.int64]:
     """Return the triangles with three different corners, without duplicates, (K,)."""
     corners = np.sort(faces, axis=1).astype(np.int64)
     whole = np.flatnonzero((np.diff(corners, axis=1) > 0).all(axis=1))

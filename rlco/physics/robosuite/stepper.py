@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import mujoco
@@ -82,6 +83,18 @@ class RobosuiteStepper:
         """Return one environment's own model, to render it."""
         model: mujoco.MjModel = self.envs[number].sim.model._model
         return model
+
+    @property
+    def model_addresses(self) -> NDArray[np.int64]:
+        """Addresses of the environments' models, which compiled code reads, (N,)."""
+        models = [self.model_of(number) for number in range(self.num_envs)]
+        return np.array([model._address for model in models], dtype=np.int64)
+
+    def run_over(
+        self, kernel: Callable[..., None], count: int, *arguments: Any
+    ) -> None:
+        """Run a compiled loop over `count` environments, one after the other."""
+        kernel(0, count, *arguments)
 
     def reset(
         self, initial: list[InitialState], which: NDArray[np.int64] | None = None

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Any, Literal, Protocol
 
 import mujoco
 import numpy as np
@@ -27,6 +27,15 @@ class Stepper(Protocol):
 
     def model_of(self, number: int) -> mujoco.MjModel:
         """Return one world's own model; valid until the next call."""
+
+    @property
+    def model_addresses(self) -> NDArray[np.int64]:
+        """Addresses of the worlds' models, which compiled code reads, (N,)."""
+
+    def run_over(
+        self, kernel: Callable[..., None], count: int, *arguments: Any
+    ) -> None:
+        """Run a compiled loop, ``kernel(first, last, *arguments)``, over [0, count)."""
 
     @property
     def data(self) -> Sequence[object]:

@@ -9,6 +9,7 @@ import torch
 from torch import nn
 
 from rlco.errors import ConfigError, DataError, UnknownNameError
+from rlco.physics.spec.names import RENDERERS, Renderer
 from rlco.policies.nets.mobilenet import MobileNetMaps
 
 ImageKind = Literal["conv", "mobilenet"]
@@ -30,12 +31,17 @@ class ImageArguments(TypedDict):
         weights: mobilenet: file of torchvision's ImageNet weights; "saved": those in
             the policy's own file, which is loaded next.
         frozen: mobilenet: whether its weights stay as they are; by default they do.
+        renderer: what draws the simulator's images for it, "raster" or "opengl"; the
+            latter by default, as for all policies that say nothing of it.
+        camera: the simulator's camera, "agentview" by default.
     """
 
     kind: ImageKind
     size: Sequence[int]
     weights: NotRequired[str | None]
     frozen: NotRequired[bool]
+    renderer: NotRequired[Renderer]
+    camera: NotRequired[str]
 
 
 class SpatialSoftmax(nn.Module):
@@ -120,9 +126,13 @@ class ImageEncoder(nn.Module):
         size: height and width of an image [pixels].
         weights: see `ImageArguments`.
         frozen: see `ImageArguments`.
+        renderer: see `ImageArguments`.
+        camera: see `ImageArguments`.
 
     Attributes:
         size: height and width of an image.
+        renderer: see `ImageArguments`.
+        camera: see `ImageArguments`.
         features: dimension of an image's feature vector.
 
     Raises:
@@ -143,9 +153,14 @@ class ImageEncoder(nn.Module):
         *,
         weights: str | None = None,
         frozen: bool = True,
+        renderer: Renderer = "opengl",
+        camera: str = "agentview",
     ) -> None:
         super().__init__()
         check_image(kind, size, weights)
+        if renderer not in RENDERERS:
+            raise UnknownNameError("renderer", renderer, RENDERERS)
+        self.renderer, self.camera = renderer, camera
         height, width = size
         self.size = (int(height), int(width))
         self.network: ConvMaps | MobileNetMaps

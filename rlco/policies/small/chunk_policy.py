@@ -12,6 +12,7 @@ from tensordict.nn.probabilistic import interaction_type
 from rlco.errors import ConfigError, DataError
 from rlco.keys import ACTION, CHUNK, LOG_PROB, SAMPLE
 from rlco.physics.spec.actions import LIMIT
+from rlco.physics.spec.names import Renderer
 from rlco.policies.nets.encoder import ObservationEncoder, Quantiles, read
 from rlco.policies.nets.image_encoder import ImageArguments, saved_arguments
 from rlco.policies.nets.normalizer import QuantileNormalizer
@@ -132,6 +133,12 @@ class ChunkPolicy(TensorDictModuleBase):
     def image_size(self) -> tuple[int, int] | None:
         """Height and width of the images that it reads [pixels]; None: none."""
         return None if self.encoder.image is None else self.encoder.image.size
+
+    @property
+    def renderer(self) -> Renderer:
+        """What draws the simulator's images for it: ``raster`` or ``opengl``."""
+        image = self.encoder.image
+        return "opengl" if image is None else image.renderer
 
     @property
     def explores(self) -> bool:

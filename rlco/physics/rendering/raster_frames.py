@@ -1,0 +1,493 @@
+"""Compiled: whole frames of a range of worlds, without the GIL.
+
+What cannot move before a camera that cannot move is drawn once. Each world compares
+the numbers that this background depends on with those it was drawn from, all of them,
+and draws it anew where one differs.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from rlco.physics.mj.compiling import inner
+from rlco.physics.rendering.raster_scene import (
+    FIRST_LEVEL,
+    HALF,
+    ID,
+    NEXT_LEVEL,
+    RADIUS,
+    SKY,
+    STILL,
+    TWO_SIDED,
+    UNWRAPPED,
+    VERTICES,
+)
+from rlco.physics.rendering.raster_shading import COLOUR, RAY, WORK_ROWS, shade, sky
+from rlco.physics.rendering.raster_state import (
+    CAM_MAT,
+    CAM_POS,
+    FOCAL,
+    GEOM_MAT,
+    GEOM_POS,
+    GEOM_SIZE,
+    LIGHT_DIR,
+    LIGHT_POS,
+    LIGHT_SIZE,
+    LIGHTS,
+    RGBA,
+    read_row,
+)
+from rlco.physics.rendering.raster_triangles import (
+    GEOM,
+    TRIANGLE,
+    draw_cut,
+    draw_triangles,
+    project,
+)
+
+_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+# MuJoCo draws what is less opaque than this after the rest, blended over it.
+OPAQUE = 0.995
+COMMON = 0  # the background that worlds share while they look alike
+# Geoms that reach farther than this from the frame are cut to it [pixels].
+GUARD = np.float32(4096.0)
+# Detail that may be lost in a frame, and in a background, which is drawn once [pixels].
+DETAIL, FINE = np.float32(1.0), np.float32(0.5)
+_LEVEL, _CUT = 0, 1  # columns of `Scratch.placed`
+
+
+class Backgrounds(NamedTuple):
+    """What cannot move: one common background, then one of each of N worlds.
+
+    Memory is committed only where it is written.
+    """
+
+    rows: NDArray[np.float64]  # the numbers that it was drawn from (N + 1, K)
+    drawn: NDArray[np.bool_]  # (N + 1,)
+    depth: NDArray[np.float32]  # inverse depth (N + 1, height, width) [1/m]
+    geom: NDArray[np.int32]  # among the scene's geoms (N + 1, height, width)
+    image: NDArray[np.uint8]  # (N + 1, 3, height, width)
+
+
+class Scratch(NamedTuple):
+    """Working space of one thread."""
+
+    row: NDArray[np.float64]  # the world's numbers
+    matrix: NDArray[np.float32]  # from each geom's frame to the camera's (G, 12)
+    placed: NDArray[np.int64]  # level of detail or -1, whether it must be cut (G, 2)
+    boxes: NDArray[np.int64]  # rows and columns that a geom may show in (G, 4)
+    distance: NDArray[np.float32]  # from the camera (G,) [m]
+    corners: NDArray[np.int32]  # of one geom, on the screen (2, V)
+    inverse: NDArray[np.float32]  # their inverse depth (V,)
+    depth: NDArray[np.float32]  # inverse depth of the frame, of one transparent geom
+    shown: NDArray[np.int32]  # triangle and geom, of the same two (2, 2, h, w)
+    lens: NDArray[np.float32]  # focal lengths, centre [pixels], world from camera (13,)
+    lights: NDArray[np.float32]  # see `raster_shading.shade`
+    triangle: NDArray[np.float32]  # corners of one (3, 3)
+    pixel: NDArray[np.float32]  # working space of one pixel
+
+
+@inner
+def _scratch(
+    numbers: Any, geoms: int, row: int, lights: int, height: int, width: int
+) -> Any:
+    return Scratch(
+        np.empty(row),
+        np.empty((geoms, 12), np.float32),
+        np.empty((geoms, 2), np.int64),
+        np.empty((geoms, 4), np.int64),
+        np.empty(geoms, np.float32),
+        np.empty((2, numbers[VERTICES]), np.int32),
+        np.empty(numbers[VERTICES], np.float32),
+        np.empty((2, height, width), np.float32),
+        np.empty((2, 2, height, width), np.int32),
+        np.empty(13, np.float32),
+        np.empty((lights, LIGHT_SIZE + 6), np.float32),
+        np.empty((3, 3), np.float32),
+        np.empty((WORK_ROWS, 6), np.float32),
+    )
+
+
+@inner
+def _look(row: Any, lens: Any, lights: Any) -> None:
+    """Turn the camera and the lights of a row into what drawing needs."""
+    for i in range(4):
+        lens[i] = row[FOCAL + i]
+    for axis in range(3):  # MuJoCo's cameras have x right, y up, and look along -z
+        for column in range(3):
+            sign = 1.0 if column == 0 else -1.0
+            lens[4 + 3 * axis + column] = sign * row[CAM_MAT + 3 * axis + column]
+    for number in range(lights.shape[0]):
+        at = LIGHTS + LIGHT_SIZE * number
+        for i in range(LIGHT_SIZE):
+            lights[number, i] = row[at + i]
+        for axis in range(3):
+            turned, place = 0.0, 0.0
+            for k in range(3):
+                column = row[CAM_MAT + 3 * k + axis]
+                turned += column * row[at + LIGHT_DIR + k]
+                place += column * (row[at + LIGHT_POS + k] - row[CAM_POS + k])
+            sign = 1.0 if axis == 0 else -1.0
+            lights[number, LIGHT_SIZE + axis] = sign * turned
+            lights[number, LIGHT_SIZE + 3 + axis] = sign * place
+
+
+@inner
+def _place(
+    geom: Any,
+    bounds: Any,
+    errors: Any,
+    row: Any,
+    at: int,
+    lens: Any,
+    near: Any,
+    detail: Any,
+    height: int,
+    width: int,
+    matrix: Any,
+    placed: Any,
+    box: Any,
+) -> Any:
+    """Write how one geom is drawn; return its distance from the camera [m].
+
+    Args:
+        geom: Its row of `Scene.geoms`.
+        bounds: Its row of `Scene.bounds`.
+        errors: Detail that each level lacks [m].
+        row: The world's numbers.
+        at: Where the geom's begin.
+        lens: See `Scratch`.
+        near: What is closer to the camera is not drawn [m].
+        detail: What a level may lack [pixels].
+        height: Of the frame.
+        width: Of the frame.
+        matrix: Written, from its frame to the camera's, (12,).
+        placed: Written, (2,): its level of detail, -1 if it is out of view, and
+            whether its triangles must be cut.
+        box: Written: rows and columns that it may show in, (4,).
+    """
+    for axis in range(3):
+        sign = 1.0 if axis == 0 else -1.0
+        shift = 0.0
+        for k in range(3):
+            place = row[at + GEOM_POS + k] - row[CAM_POS + k]
+            shift += row[CAM_MAT + 3 * k + axis] * place
+        matrix[4 * axis + 3] = sign * shift
+        for column in range(3):
+            turned = 0.0
+            for k in range(3):
+                entry = row[at + GEOM_MAT + 3 * k + column]
+                turned += row[CAM_MAT + 3 * k + axis] * entry
+            matrix[4 * axis + column] = sign * turned
+    radius = bounds[RADIUS]
+    placed[_LEVEL], placed[_CUT] = -1, 0
+    box[0], box[1], box[2], box[3] = 0, height - 1, 0, width - 1
+    z = matrix[8] * bounds[0] + matrix[9] * bounds[1] + matrix[10] * bounds[2]
+    z += matrix[11]
+    square = z * z
+    visible = z + radius > near and row[at + RGBA + 3] > 0.0
+    close = max(z - _HALF * radius, near)
+    placed[_CUT] = z - radius <= near
+    for axis in range(2):
+        middle = (
+            matrix[4 * axis] * bounds[0]
+            + matrix[4 * axis + 1] * bounds[1]
+            + matrix[4 * axis + 2] * bounds[2]
+            + matrix[4 * axis + 3]
+        )
+        square += middle * middle
+        size = np.float32(width if axis == 0 else height)
+        # The sphere's distance from the two sides of the view.
+        low, high = lens[2 + axis] / lens[axis], (size - lens[2 + axis]) / lens[axis]
+        if middle + low * z < -radius * np.sqrt(_ONE + low * low):
+            visible = False
+        if middle - high * z > radius * np.sqrt(_ONE + high * high):
+            visible = False
+        if placed[_CUT]:
+            continue
+        # The box around the sphere, as it is seen.
+        nearest, far = z - radius, z + radius
+        least, most = middle - radius, middle + radius
+        least = (
+            least / (nearest if least < _ZERO else far) * lens[axis] + lens[2 + axis]
+        )
+        most = most / (nearest if most > _ZERO else far) * lens[axis] + lens[2 + axis]
+        if least < -GUARD or most > GUARD:
+            placed[_CUT] = 1
+        first = 2 if axis == 0 else 0
+        box[first] = np.int64(min(max(least, _ZERO), size))
+        box[first + 1] = np.int64(min(max(most, -_ONE), size - _ONE))
+    if visible:
+        allowed = detail * close / lens[1]
+        level = geom[FIRST_LEVEL]
+        while level + 1 < geom[NEXT_LEVEL] and errors[level + 1] <= allowed:
+            level += 1
+        placed[_LEVEL] = level
+    return np.sqrt(square) - radius
+
+
+@inner
+def _draw(scene: Any, g: int, layer: int, s: Any) -> None:
+    """Draw one geom that is in view."""
+    level, box = s.placed[g, _LEVEL], s.boxes[g]
+    start, end = scene.levels[level, 0], scene.levels[level, 1]
+    first, last = scene.levels[level, 2], scene.levels[level, 3]
+    two_sided = scene.geoms[g, TWO_SIDED] != 0
+    points, depth, shown = scene.points[:, start:end], s.depth[layer], s.shown[layer]
+    if s.placed[g, _CUT]:
+        draw_cut(
+            points,
+            scene.faces,
+            first,
+            last,
+            two_sided,
+            g,
+            s.matrix[g],
+            s.lens,
+            scene.near,
+            s.corners,
+            s.inverse,
+            depth,
+            shown,
+            box,
+        )
+    else:
+        project(points, s.matrix[g], s.lens, scene.near, s.corners, s.inverse)
+        draw_triangles(
+            scene.faces,
+            first,
+            last,
+            two_sided,
+            g,
+            s.corners,
+            s.inverse,
+            depth,
+            shown,
+            box,
+        )
+
+
+@inner
+def _colour(
+    scene: Any,
+    geoms_at: int,
+    layer: int,
+    box: Any,
+    share: Any,
+    with_sky: bool,
+    image: Any,
+    s: Any,
+) -> None:
+    """Colour the pixels of a box that show a triangle.
+
+    Args:
+        scene: `raster_scene.Scene`.
+        geoms_at: Where the geoms begin in a row.
+        layer: 0 for the frame, 1 for a transparent geom.
+        box: First and last row, first and last column, (4,).
+        share: Of the colour, over what the image shows.
+        with_sky: Colour the pixels that show none, too.
+        image: uint8 (3, height, width), written.
+        s: Working space.
+    """
+    lens, v, shown, depth = s.lens, s.pixel, s.shown[layer], s.depth[layer]
+    for y in range(box[0], box[1] + 1):
+        for x in range(box[2], box[3] + 1):
+            k = shown[TRIANGLE, y, x]
+            if k < 0 and not with_sky:
+                continue
+            v[RAY, 0] = (np.float32(x) + _HALF - lens[2]) / lens[0]
+            v[RAY, 1] = (np.float32(y) + _HALF - lens[3]) / lens[1]
+            v[RAY, 2] = _ONE
+            if k < 0:
+                sky(scene.textures, scene.numbers[SKY], lens[4:], v)
+            else:
+                g = shown[GEOM, y, x]
+                start = scene.levels[s.placed[g, _LEVEL], 0]
+                for corner in range(3):
+                    for axis in range(3):
+                        s.triangle[corner, axis] = scene.points[
+                            axis, start + scene.faces[k, corner]
+                        ]
+                at = geoms_at + GEOM_SIZE * g
+                shade(
+                    s.row[at : at + GEOM_SIZE],
+                    s.lights,
+                    s.triangle,
+                    scene.normals[k],
+                    scene.bounds[g, HALF:],
+                    scene.geoms[g, UNWRAPPED] != 0,
+                    scene.textures,
+                    s.matrix[g],
+                    lens,
+                    _ONE / depth[y, x],
+                    v,
+                )
+            for c in range(3):
+                value = v[COLOUR, c]
+                if share < _ONE:
+                    behind = np.float32(image[c, y, x]) / np.float32(255.0)
+                    value = behind + share * (value - behind)
+                image[c, y, x] = np.uint8(np.float32(255.0) * value + _HALF)
+
+
+@inner
+def _farthest(row: Any, geoms_at: int, placed: Any, distance: Any) -> int:
+    """Return the farthest transparent geom that is in view; -1: there is none."""
+    found = -1
+    for g in range(placed.shape[0]):
+        alpha = row[geoms_at + GEOM_SIZE * g + RGBA + 3]
+        if placed[g, _LEVEL] < 0 or alpha >= OPAQUE:
+            continue
+        if found < 0 or distance[g] > distance[found]:
+            found = g
+    return found
+
+
+@inner
+def _same(kept: Any, row: Any) -> bool:
+    """Return whether a row begins with these very numbers."""
+    for i in range(kept.shape[0]):  # noqa: SIM110 (numba knows no generators)
+        if kept[i] != row[i]:
+            return False
+    return True
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def draw_range(
+    first: int,
+    last: int,
+    which: Any,
+    scene: Any,
+    sizes: Any,
+    sources: Any,
+    backgrounds: Any,
+    images: Any,
+    geoms: Any,
+    depths: Any,
+) -> None:
+    """Draw the frames of the worlds `which[first:last]`.
+
+    Args:
+        first: First place in `which`.
+        last: One after the last.
+        which: Indices of worlds; -1 draws the common background as world 0 has it.
+        scene: `raster_scene.Scene`.
+        sizes: See `raster_state.row_sizes`.
+        sources: `raster_state.Sources`.
+        backgrounds: `Backgrounds`, empty for a camera that moves.
+        images: uint8 (N, 3, height, width); only those of `which` are written.
+        geoms: The geoms that pixels show, -1: none, (N, height, width), or (0, 0, 0).
+        depths: Their depths, 0: none, of the same shape [m].
+    """
+    height, width = images.shape[2], images.shape[3]
+    geoms_at, still_end = sizes[0], sizes[1]
+    count, still = len(scene.geoms), scene.numbers[STILL]
+    lights = (geoms_at - LIGHTS) // LIGHT_SIZE
+    s = _scratch(scene.numbers, count, sizes[2], lights, height, width)
+    whole = np.array([0, height - 1, 0, width - 1])
+    kept = backgrounds.drawn.shape[0] > 0
+    for place in range(first, last):
+        e = max(which[place], 0)
+        read_row(
+            scene.geoms,
+            scene.numbers,
+            sources.models[e],
+            sources.states[e],
+            sources.offsets,
+            height,
+            width,
+            s.row,
+        )
+        _look(s.row, s.lens, s.lights)
+        slot = COMMON
+        if kept and which[place] >= 0:
+            drawn, rows = backgrounds.drawn, backgrounds.rows
+            if not (drawn[COMMON] and _same(rows[COMMON], s.row)):
+                slot = e + 1
+        # First what cannot move, where it has not been drawn from the same numbers;
+        # then what moves, and what is transparent.
+        for moving in range(2):
+            if moving == 0:
+                known = not kept or (
+                    backgrounds.drawn[slot] and _same(backgrounds.rows[slot], s.row)
+                )
+                if known and which[place] >= 0:
+                    continue
+                begin, end, detail = 0, still, FINE
+                image = backgrounds.image[slot]
+            elif which[place] < 0:
+                continue
+            else:
+                begin, end, detail = still if kept else 0, count, DETAIL
+                image = images[e]
+            if moving and kept:
+                s.depth[0] = backgrounds.depth[slot]
+                s.shown[0, GEOM] = backgrounds.geom[slot]
+                image[:] = backgrounds.image[slot]
+            else:
+                s.depth[0] = _ZERO
+                s.shown[0, GEOM] = -1
+            s.shown[0, TRIANGLE] = -1
+            for g in range(count):
+                at = geoms_at + GEOM_SIZE * g
+                s.placed[g, _LEVEL] = -1
+                opaque = s.row[at + RGBA + 3] >= OPAQUE
+                if (g < begin or g >= end) if opaque else not moving:
+                    continue
+                s.distance[g] = _place(
+                    scene.geoms[g],
+                    scene.bounds[g],
+                    scene.errors,
+                    s.row,
+                    at,
+                    s.lens,
+                    scene.near,
+                    detail,
+                    height,
+                    width,
+                    s.matrix[g],
+                    s.placed[g],
+                    s.boxes[g],
+                )
+                if opaque and s.placed[g, _LEVEL] >= 0:
+                    _draw(scene, g, 0, s)
+            with_sky = not (moving and kept)
+            _colour(scene, geoms_at, 0, whole, _ONE, with_sky, image, s)
+            if not moving:
+                backgrounds.depth[slot] = s.depth[0]
+                backgrounds.geom[slot] = s.shown[0, GEOM]
+                backgrounds.rows[slot] = s.row[:still_end]
+                backgrounds.drawn[slot] = True
+        # Transparent geoms are blended over the rest, the farthest first. They have no
+        # depth, as in MuJoCo; of each the closest triangles show.
+        while which[place] >= 0:
+            g = _farthest(s.row, geoms_at, s.placed, s.distance)
+            if g < 0:
+                break
+            top, left = s.boxes[g, 0], s.boxes[g, 2]
+            below, beside = s.boxes[g, 1] + 1, s.boxes[g, 3] + 1
+            for y in range(top, below):
+                for x in range(left, beside):
+                    s.depth[1, y, x] = s.depth[0, y, x]
+                    s.shown[1, TRIANGLE, y, x] = -1
+            _draw(scene, g, 1, s)
+            # MuJoCo draws each twice, from the closest and back again.
+            alpha = np.float32(s.row[geoms_at + GEOM_SIZE * g + RGBA + 3])
+            share = _ONE - (_ONE - alpha) * (_ONE - alpha)
+            _colour(scene, geoms_at, 1, s.boxes[g], share, False, images[e], s)
+            for y in range(top, below):
+                for x in range(left, beside):
+                    if s.shown[1, TRIANGLE, y, x] >= 0:
+                        s.shown[0, GEOM, y, x] = g
+            s.placed[g, _LEVEL] = -1
+        if geoms.shape[0] and which[place] >= 0:
+            for y in range(height):
+                for x in range(width):
+                    g, over = s.shown[0, GEOM, y, x], s.depth[0, y, x]
+                    geoms[e, y, x] = scene.geoms[g, ID] if g >= 0 else -1
+                    depths[e, y, x] = _ONE / over if over > _ZERO else _ZERO
