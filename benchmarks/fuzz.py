@@ -129,6 +129,7 @@ def _work(tasks: Connection) -> None:
     """Answer attempts in a process of its own, with the memory that each took."""
     import fuzz_files  # noqa: F401 - what it takes is no attempt's
 
+    tasks.send("ready")
     while (task := tasks.recv()) is not None:
         Path("/proc/self/clear_refs").write_text("5")  # sets the most used to the used
         before, _ = _peak()
@@ -149,15 +150,13 @@ class Worker:
         self._process = context.Process(target=_work, args=(theirs,), daemon=True)
         self._process.start()
         theirs.close()
-        self._warm = False
+        self._ours.recv()  # ready
 
     def attempt(self, name: str, whole: Path, seed: int) -> tuple[str, str]:
         """Return the outcome of an attempt, and what was said."""
         self._ours.send((name, whole, seed))
-        limit = HANG if self._warm else 120.0  # the first one imports
-        self._warm = True
         try:
-            if self._ours.poll(limit):
+            if self._ours.poll(HANG):
                 answer: tuple[str, str] = self._ours.recv()
                 return answer
             outcome = "hang"

@@ -37,9 +37,9 @@ class Config(RunOptions):
     name: str = option(
         "co_train", "name of the run, a part of its folder's name", check=folder_name
     )
-    policy: str = option(REQUIRED, "LeRobot's folder pretrained_model", input=True)
+    policy: str = option(REQUIRED, "LeRobot's folder pretrained_model", input="folder")
     tokenizer: str | None = option(
-        None, "folder of the tokenizer, for machines without network", input=True
+        None, "folder of the tokenizer, for machines without network", input="folder"
     )
     allow_code: list[str] = option(
         [], "code of yours that its files may name, my_module.MyStep; it runs"
@@ -50,7 +50,7 @@ class Config(RunOptions):
     )
     task: str = option("push_cube", "name of the task")
     real_demos: str | None = option(
-        None, "LeRobot folder of real demonstrations", input=True
+        None, "LeRobot folder of real demonstrations", input="folder"
     )
     real_camera: str | None = option(
         None, "camera of real_demos; null: the checkpoint's name for it"
@@ -67,7 +67,7 @@ class Config(RunOptions):
     stats: str | None = option(
         None,
         "LeRobot folder whose statistics normalise, for a checkpoint without its own",
-        input=True,
+        input="file",
     )
     executed: int | None = option(
         None, "steps of a chunk that are executed; null: the checkpoint's", minimum=1
@@ -137,15 +137,15 @@ class Config(RunOptions):
     eval_domains: list[str] = option(
         ["sim"],
         "domains to evaluate in: names, MODULE:NAME, or paths of effects.yaml files",
-        input=True,
+        input="file",
     )
     train_domain: str = option(
         "sim",
         "domain to train in: a name, MODULE:NAME, or the path of an effects.yaml",
-        input=True,
+        input="file",
     )
     effects_code: str | None = option(
-        None, "Python file that registers effects of your own", input=True
+        None, "Python file that registers effects of your own", input="file"
     )
 
 

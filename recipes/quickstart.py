@@ -82,21 +82,21 @@ class Config(PolicyOptions):
         ["sim", "stand_in"],
         "domains to compare in: names, MODULE:NAME, or paths of effects.yaml files; "
         "the last one is filmed",
-        input=True,
+        input="file",
     )
     final_domains: list[str] = option(
         [],
         "further ones for the comparison alone, not for curves, such as locked",
-        input=True,
+        input="file",
     )
     train_domain: str = option(
         "sim",
         "domain of the simulated demonstrations and of Stage II: a name, "
         "MODULE:NAME, or the path of an effects.yaml",
-        input=True,
+        input="file",
     )
     effects_code: str | None = option(
-        None, "Python file that registers effects of your own", input=True
+        None, "Python file that registers effects of your own", input="file"
     )
 
 

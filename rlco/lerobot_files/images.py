@@ -161,7 +161,7 @@ def _decode_video(
                 if ahead >= -tolerance:
                     _check_size(feature, (frame.width, frame.height), where)
                     frames.append(frame.to_ndarray(format="rgb24").astype(np.uint8))
-    except (av.FFmpegError, IndexError, OverflowError) as error:
+    except (av.FFmpegError, IndexError, OverflowError, UnicodeError) as error:
         raise DataError(
             f"{where} cannot be decoded ({error}); copy it again."
         ) from None

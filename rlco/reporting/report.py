@@ -55,7 +55,8 @@ def write_report(
         )
     info = read_json(run_dir / "run.json", advice="give the folder of another run")
     results = run_dir / "results.json"
-    rows = cast(list[ResultRow], read_results(results) if results.is_file() else [])
+    found = read_results(results, of_recipe=True) if results.is_file() else []
+    rows = cast(list[ResultRow], found)
     headline = title or _headline(rows) or f"A run of {info.text('recipe')}"
     body = "\n".join(
         part

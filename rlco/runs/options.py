@@ -103,7 +103,7 @@ def option(
     infinite: bool = False,
     may_change: bool = False,
     earlier: Any = AS_NOW,
-    input: bool = False,
+    input: Literal["file", "folder"] | None = None,
     check: Callable[[Any], str | None] | None = None,
 ) -> Any:
     """Declare one option as a dataclass field.
@@ -118,8 +118,8 @@ def option(
         may_change: Whether a resumed run may have another value.
         earlier: Its value where a run is resumed that was started before the option
             existed; where none is given, the default.
-        input: Whether it names files that a run reads: a resumed run must find them as
-            they were.
+        input: Whether it names files, or folders, that a run reads: a resumed run must
+            find them as they were.
         check: Says what is wrong with a value, None where nothing is.
 
     Example:
@@ -157,7 +157,7 @@ class Option:
     infinite: bool = False
     may_change: bool = False
     earlier: Any = AS_NOW
-    input: bool = False
+    input: Literal["file", "folder"] | None = None
     check: Callable[[Any], str | None] | None = None
 
     @property

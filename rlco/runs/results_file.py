@@ -8,8 +8,12 @@ from typing import Any
 from rlco.files import Fields, read_json
 
 
-def read_results(path: Path) -> list[dict[str, Any]]:
+def read_results(path: Path, *, of_recipe: bool = False) -> list[dict[str, Any]]:
     """Return the rows of a results.json.
+
+    Args:
+        path: The file.
+        of_recipe: Whether a row must say all that rlco's recipes write.
 
     Raises:
         DataError: It is missing or damaged, or a row is no count of successes.
@@ -17,6 +21,12 @@ def read_results(path: Path) -> list[dict[str, Any]]:
     rows = read_json(path, advice="let the recipe write it again").groups("rows")
     for row in rows:
         _check(row)
+        if of_recipe:
+            row.text("policy")
+            row.integer("seed")
+            for name in ("task", "variation"):
+                if name not in row.content:
+                    raise row.refuse(name, "a text or null")
     return [dict(row.content) for row in rows]
 
 

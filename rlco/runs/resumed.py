@@ -36,7 +36,12 @@ def inputs_of(config: object) -> dict[str, dict[str, str]]:
     for key, entry in options_of(type(config)).items():
         values = given[key] if isinstance(given.get(key), list) else [given.get(key)]
         paths = [v for v in values if entry.input and isinstance(v, str) and v]
-        there = {path: fingerprint(Path(path)) for path in paths if Path(path).exists()}
+        # A folder that happens to have the name of a domain is none.
+        there = {
+            path: fingerprint(Path(path))
+            for path in paths
+            if Path(path).is_file() or (entry.input == "folder" and Path(path).is_dir())
+        }
         if there:
             found[key] = there
     return found

@@ -115,7 +115,7 @@ class PolicyOptions(KindOptions, AugmentOptions):
     image_weights: str | None = option(
         None,
         "mobilenet: file of torchvision's weights, mobilenet_v2-b0353104.pth",
-        input=True,
+        input="file",
     )
     image_frozen: bool = option(True, "mobilenet: leave its weights as they are")
     use_environment_state: bool = option(

@@ -50,10 +50,10 @@ class StageOneOptions(PolicyOptions):
         "name of the task; null: a robot that no simulator has, sizes from the data",
     )
     sim_demos: str | None = option(
-        None, "LeRobot folder of simulated demonstrations", input=True
+        None, "LeRobot folder of simulated demonstrations", input="folder"
     )
     real_demos: str | None = option(
-        None, "LeRobot folder of real demonstrations", input=True
+        None, "LeRobot folder of real demonstrations", input="folder"
     )
     episodes: str = option(
         "", "episodes of real_demos that are trained on, 0-19,25; empty: all"
@@ -70,7 +70,7 @@ class StageOneOptions(PolicyOptions):
     heldout_demos: str | None = option(
         None,
         "LeRobot folder of real demonstrations to measure imitation on",
-        input=True,
+        input="folder",
     )
     heldout_episodes: str = option("", "episodes of heldout_demos; empty: all")
     sim_ratio: float | None = option(
@@ -102,10 +102,10 @@ class StageOneOptions(PolicyOptions):
     eval_domains: list[str] = option(
         ["sim", "stand_in"],
         "domains to evaluate in: names, MODULE:NAME, or paths of effects.yaml files",
-        input=True,
+        input="file",
     )
     effects_code: str | None = option(
-        None, "Python file that registers effects of your own", input=True
+        None, "Python file that registers effects of your own", input="file"
     )
 
     @property

@@ -40,11 +40,11 @@ class StageTwoOptions(AugmentOptions):
         "rl_co", "name of the run, a part of its folder's name", check=folder_name
     )
     policy: str = option(
-        REQUIRED, "folder of the policy that Stage I saved", input=True
+        REQUIRED, "folder of the policy that Stage I saved", input="folder"
     )
     task: str = option("push_cube", "name of the task")
     real_demos: str | None = option(
-        None, "LeRobot folder of real demonstrations", input=True
+        None, "LeRobot folder of real demonstrations", input="folder"
     )
     episodes: str = option(
         "", "episodes of real_demos that are trained on, 0-19,25; empty: all"
@@ -58,7 +58,7 @@ class StageTwoOptions(AugmentOptions):
     heldout_demos: str | None = option(
         None,
         "LeRobot folder of real demonstrations to measure forgetting on",
-        input=True,
+        input="folder",
     )
     heldout_episodes: str = option("", "episodes of heldout_demos; empty: all")
     real_coeff: float = option(0.2, "beta, weight of the real anchor", minimum=0)
@@ -149,18 +149,18 @@ class StageTwoOptions(AugmentOptions):
     eval_domains: list[str] = option(
         ["sim", "stand_in"],
         "domains to evaluate in: names, MODULE:NAME, or paths of effects.yaml files",
-        input=True,
+        input="file",
     )
     final_domains: list[str] = option(
-        [], "further ones for the last evaluation alone, such as locked", input=True
+        [], "further ones for the last evaluation alone, such as locked", input="file"
     )
     train_domain: str = option(
         "sim",
         "domain to train in: a name, MODULE:NAME, or the path of an effects.yaml",
-        input=True,
+        input="file",
     )
     effects_code: str | None = option(
-        None, "Python file that registers effects of your own", input=True
+        None, "Python file that registers effects of your own", input="file"
     )
 
     @property

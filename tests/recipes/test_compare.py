@@ -343,7 +343,7 @@ def test_a_job_without_results_has_failed(
 ) -> None:
     (grid.folder / "job.py").write_text(SCRIPT.replace('{"rows": rows}', "{}"))
     grid.run()
-    assert "results.json' is missing" in capsys.readouterr().err
+    assert "results.json' lacks 'rows'" in capsys.readouterr().err
     assert "| first | missing | - | 0 of 3: 3 failed |" in grid.table
 
 

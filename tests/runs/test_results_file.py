@@ -62,6 +62,7 @@ def test_a_file_that_is_none(tmp_path: Path, content: object) -> None:
         ("run.json", "{}"),
         ("run.json", '{"recipe": "x", "seconds": "y"}'),
         ("results.json", '{"rows": [{}]}'),
+        ("results.json", json.dumps({"rows": [ROW]})),  # of no policy and no task
         ("metrics.csv", "step,loss\n1,x\n"),
         ("config.yaml", "\xff"),
     ],

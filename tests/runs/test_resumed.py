@@ -24,8 +24,8 @@ class Options(RunOptions):
     """Options of the runs below."""
 
     lr: float = option(0.5, "a number")
-    demos: str | None = option(None, "a folder", input=True)
-    domains: list[str] = option(["sim"], "names or files", input=True)
+    demos: str | None = option(None, "a folder", input="folder")
+    domains: list[str] = option(["sim"], "names or files", input="file")
 
 
 @pytest.fixture
@@ -126,6 +126,18 @@ def test_a_name_is_no_input_and_a_file_is(tmp_path: Path) -> None:
     file.write_text("effects: []\nnames: {}\n")
     with pytest.raises(RlcoError, match=r"domains=.* is not what run"):
         Run(replace(options, out=None, resume=str(tmp_path / "run")), "demo")
+
+
+def test_a_folder_with_the_name_of_a_domain_is_no_input(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "sim").mkdir()
+    with Run(Options(out="run"), "demo"):
+        pass
+    (tmp_path / "sim" / "more").write_text("")
+    with Run(Options(resume="run"), "demo"):
+        pass
 
 
 def test_runs_from_before_are_resumed(out: Path, demos: Path) -> None:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 from rlco.errors import DataError, suggest
+from rlco.files import shown
 
 
 @dataclass(frozen=True)
@@ -58,8 +59,8 @@ def sensors_of(content: Mapping[str, Any], place: str) -> Sensors:
     for name, value in content.items():
         if name not in known:
             raise DataError(
-                f"unknown sensor error {name!r} in {place}{suggest(str(name), known)}; "
-                f"known: {', '.join(known)}."
+                f"unknown sensor error {shown(name)} in {place}"
+                f"{suggest(str(name), known)}; known: {', '.join(known)}."
             )
         pair = name == "camera_shift"
         numbers = value if pair else [value]
@@ -67,9 +68,9 @@ def sensors_of(content: Mapping[str, Any], place: str) -> Sensors:
             numbers = []
         if len(numbers) != 1 + pair:
             wanted = "two numbers, x and y" if pair else "a number"
-            raise DataError(f"{name} in {place} is {value!r}; give {wanted}.")
+            raise DataError(f"{name} in {place} is {shown(value)}; give {wanted}.")
         if name.endswith("_noise") and numbers[0] < 0.0:
-            raise DataError(f"{name} in {place} is {value!r}; give 0 or more.")
+            raise DataError(f"{name} in {place} is {shown(value)}; give 0 or more.")
         floats = tuple(float(number) for number in numbers)
         found[name] = floats if pair else floats[0]
     return Sensors(**found)
