@@ -81,8 +81,12 @@ def test_rows_between_two_physics_steps_are_interpolated() -> None:
     assert np.abs(_problem(log).residuals([Hypothesis()])).max() < 1e-6
     (recording,) = log.recordings
     # The same motion, told to have been measured a quarter of a physics step later.
+    # What was sent was sent in time.
     time = recording.time + 0.001 * (recording.time > 0)
-    late = replace(log, recordings=(replace(recording, time=time),))
+    assert recording.command is not None
+    sent = (recording.time[1:], recording.command[1:])
+    moved = replace(recording, time=time, unread=sent)
+    late = replace(log, recordings=(moved,))
     left = _problem(late).residuals([Hypothesis()])[0].reshape(-1, 2)
     # So it lags by its speed times a millisecond.
     speed = np.asarray(recording.velocity)[1:]
