@@ -10,6 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 from hidden_arms import TWO_LINKS, commands, record
+from recipe_cases import start
 from recorded_torques import (
     XML,
     Array,
@@ -17,7 +18,6 @@ from recorded_torques import (
     record_torques,
     wrong_everywhere,
 )
-from recipe_cases import start
 from small_problems import BALL
 
 from rlco.errors import DataError, RlcoError, UnknownNameError
@@ -213,7 +213,7 @@ def test_options_that_contradict_each_other_are_refused() -> None:
     assert not calibrates(None, False, None)
     assert calibrates(None, True, None)
     with pytest.raises(UnknownNameError, match="usual"):
-        calibrates("ususal", False, None)
+        calibrates("always", False, None)
     with pytest.raises(RlcoError, match="leave calibrate= out"):
         calibrates("none", True, None)
     with pytest.raises(RlcoError, match="compare=positions"):

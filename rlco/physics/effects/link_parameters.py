@@ -16,6 +16,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
+from rlco.errors import RlcoError
 from rlco.physics.effects.effect import Array, Effect, Parameter, body_of
 from rlco.physics.effects.targets import joints, moving_bodies
 
@@ -71,6 +72,9 @@ def changed_link(
 
 def _link_on_spec(spec: mujoco.MjSpec, target: str | None, values: Array) -> None:
     body = body_of(spec, target)
+    if not body.explicitinertial:
+        message = f"body {target!r} has its mass from its geoms: give it an inertial."
+        raise RlcoError(message)
     if body.mass < _LEAST_MASS or not np.any(values):
         return
     turn, inertia = _principal(body)
