@@ -369,7 +369,7 @@ def record_video(
         RenderingError: If no renderer is available.
     """
     image_read = getattr(policy, "image_size", None)
-    drawn = {"image_size": image_size, "image_quality": "robosuite"}
+    drawn: dict[str, Any] = {"image_size": image_size, "image_quality": "robosuite"}
     if image_read:
         drawn = read_by(policy, renderer)
     env = make_env(

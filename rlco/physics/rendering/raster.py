@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import mujoco
@@ -86,7 +86,7 @@ class RasterCamera:
         )
         self._nothing = np.zeros((0, 0, 0), np.int32), np.zeros((0, 0, 0), np.float32)
 
-    def sources(self, models: Integers, data: list[Any]) -> Sources:
+    def sources(self, models: Integers, data: Sequence[Any]) -> Sources:
         """Return where to read N worlds, for `draw`.
 
         Args:
@@ -189,7 +189,9 @@ class RasterCamera:
             np.zeros(self._size, np.float32),
         )
         only = np.zeros(1, dtype=np.int64)
-        self._draw(sources, only, *(channel[None] for channel in out), run_here)
+        self._draw(
+            sources, only, out.image[None], out.geom[None], out.depth[None], run_here
+        )
         return out
 
     def close(self) -> None:

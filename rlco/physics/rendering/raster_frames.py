@@ -14,12 +14,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from rlco.physics.mj.compiling import inner
+from rlco.physics.rendering.raster_places import CUT, LEVEL, look, place
 from rlco.physics.rendering.raster_scene import (
-    FIRST_LEVEL,
     HALF,
     ID,
-    NEXT_LEVEL,
-    RADIUS,
     SKY,
     STILL,
     TWO_SIDED,
@@ -28,14 +26,7 @@ from rlco.physics.rendering.raster_scene import (
 )
 from rlco.physics.rendering.raster_shading import COLOUR, RAY, WORK_ROWS, shade, sky
 from rlco.physics.rendering.raster_state import (
-    CAM_MAT,
-    CAM_POS,
-    FOCAL,
-    GEOM_MAT,
-    GEOM_POS,
     GEOM_SIZE,
-    LIGHT_DIR,
-    LIGHT_POS,
     LIGHT_SIZE,
     LIGHTS,
     RGBA,
@@ -53,11 +44,8 @@ _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 # MuJoCo draws what is less opaque than this after the rest, blended over it.
 OPAQUE = 0.995
 COMMON = 0  # the background that worlds share while they look alike
-# Geoms that reach farther than this from the frame are cut to it [pixels].
-GUARD = np.float32(4096.0)
 # Detail that may be lost in a frame, and in a background, which is drawn once [pixels].
 DETAIL, FINE = np.float32(1.0), np.float32(0.5)
-_LEVEL, _CUT = 0, 1  # columns of `Scratch.placed`
 
 
 class Backgrounds(NamedTuple):
@@ -113,132 +101,14 @@ def _scratch(
 
 
 @inner
-def _look(row: Any, lens: Any, lights: Any) -> None:
-    """Turn the camera and the lights of a row into what drawing needs."""
-    for i in range(4):
-        lens[i] = row[FOCAL + i]
-    for axis in range(3):  # MuJoCo's cameras have x right, y up, and look along -z
-        for column in range(3):
-            sign = 1.0 if column == 0 else -1.0
-            lens[4 + 3 * axis + column] = sign * row[CAM_MAT + 3 * axis + column]
-    for number in range(lights.shape[0]):
-        at = LIGHTS + LIGHT_SIZE * number
-        for i in range(LIGHT_SIZE):
-            lights[number, i] = row[at + i]
-        for axis in range(3):
-            turned, place = 0.0, 0.0
-            for k in range(3):
-                column = row[CAM_MAT + 3 * k + axis]
-                turned += column * row[at + LIGHT_DIR + k]
-                place += column * (row[at + LIGHT_POS + k] - row[CAM_POS + k])
-            sign = 1.0 if axis == 0 else -1.0
-            lights[number, LIGHT_SIZE + axis] = sign * turned
-            lights[number, LIGHT_SIZE + 3 + axis] = sign * place
-
-
-@inner
-def _place(
-    geom: Any,
-    bounds: Any,
-    errors: Any,
-    row: Any,
-    at: int,
-    lens: Any,
-    near: Any,
-    detail: Any,
-    height: int,
-    width: int,
-    matrix: Any,
-    placed: Any,
-    box: Any,
-) -> Any:
-    """Write how one geom is drawn; return its distance from the camera [m].
-
-    Args:
-        geom: Its row of `Scene.geoms`.
-        bounds: Its row of `Scene.bounds`.
-        errors: Detail that each level lacks [m].
-        row: The world's numbers.
-        at: Where the geom's begin.
-        lens: See `Scratch`.
-        near: What is closer to the camera is not drawn [m].
-        detail: What a level may lack [pixels].
-        height: Of the frame.
-        width: Of the frame.
-        matrix: Written, from its frame to the camera's, (12,).
-        placed: Written, (2,): its level of detail, -1 if it is out of view, and
-            whether its triangles must be cut.
-        box: Written: rows and columns that it may show in, (4,).
-    """
-    for axis in range(3):
-        sign = 1.0 if axis == 0 else -1.0
-        shift = 0.0
-        for k in range(3):
-            place = row[at + GEOM_POS + k] - row[CAM_POS + k]
-            shift += row[CAM_MAT + 3 * k + axis] * place
-        matrix[4 * axis + 3] = sign * shift
-        for column in range(3):
-            turned = 0.0
-            for k in range(3):
-                entry = row[at + GEOM_MAT + 3 * k + column]
-                turned += row[CAM_MAT + 3 * k + axis] * entry
-            matrix[4 * axis + column] = sign * turned
-    radius = bounds[RADIUS]
-    placed[_LEVEL], placed[_CUT] = -1, 0
-    box[0], box[1], box[2], box[3] = 0, height - 1, 0, width - 1
-    z = matrix[8] * bounds[0] + matrix[9] * bounds[1] + matrix[10] * bounds[2]
-    z += matrix[11]
-    square = z * z
-    visible = z + radius > near and row[at + RGBA + 3] > 0.0
-    close = max(z - _HALF * radius, near)
-    placed[_CUT] = z - radius <= near
-    for axis in range(2):
-        middle = (
-            matrix[4 * axis] * bounds[0]
-            + matrix[4 * axis + 1] * bounds[1]
-            + matrix[4 * axis + 2] * bounds[2]
-            + matrix[4 * axis + 3]
-        )
-        square += middle * middle
-        size = np.float32(width if axis == 0 else height)
-        # The sphere's distance from the two sides of the view.
-        low, high = lens[2 + axis] / lens[axis], (size - lens[2 + axis]) / lens[axis]
-        if middle + low * z < -radius * np.sqrt(_ONE + low * low):
-            visible = False
-        if middle - high * z > radius * np.sqrt(_ONE + high * high):
-            visible = False
-        if placed[_CUT]:
-            continue
-        # The box around the sphere, as it is seen.
-        nearest, far = z - radius, z + radius
-        least, most = middle - radius, middle + radius
-        least = (
-            least / (nearest if least < _ZERO else far) * lens[axis] + lens[2 + axis]
-        )
-        most = most / (nearest if most > _ZERO else far) * lens[axis] + lens[2 + axis]
-        if least < -GUARD or most > GUARD:
-            placed[_CUT] = 1
-        first = 2 if axis == 0 else 0
-        box[first] = np.int64(min(max(least, _ZERO), size))
-        box[first + 1] = np.int64(min(max(most, -_ONE), size - _ONE))
-    if visible:
-        allowed = detail * close / lens[1]
-        level = geom[FIRST_LEVEL]
-        while level + 1 < geom[NEXT_LEVEL] and errors[level + 1] <= allowed:
-            level += 1
-        placed[_LEVEL] = level
-    return np.sqrt(square) - radius
-
-
-@inner
 def _draw(scene: Any, g: int, layer: int, s: Any) -> None:
     """Draw one geom that is in view."""
-    level, box = s.placed[g, _LEVEL], s.boxes[g]
+    level, box = s.placed[g, LEVEL], s.boxes[g]
     start, end = scene.levels[level, 0], scene.levels[level, 1]
     first, last = scene.levels[level, 2], scene.levels[level, 3]
     two_sided = scene.geoms[g, TWO_SIDED] != 0
     points, depth, shown = scene.points[:, start:end], s.depth[layer], s.shown[layer]
-    if s.placed[g, _CUT]:
+    if s.placed[g, CUT]:
         draw_cut(
             points,
             scene.faces,
@@ -307,7 +177,7 @@ def _colour(
                 sky(scene.textures, scene.numbers[SKY], lens[4:], v)
             else:
                 g = shown[GEOM, y, x]
-                start = scene.levels[s.placed[g, _LEVEL], 0]
+                start = scene.levels[s.placed[g, LEVEL], 0]
                 for corner in range(3):
                     for axis in range(3):
                         s.triangle[corner, axis] = scene.points[
@@ -341,7 +211,7 @@ def _farthest(row: Any, geoms_at: int, placed: Any, distance: Any) -> int:
     found = -1
     for g in range(placed.shape[0]):
         alpha = row[geoms_at + GEOM_SIZE * g + RGBA + 3]
-        if placed[g, _LEVEL] < 0 or alpha >= OPAQUE:
+        if placed[g, LEVEL] < 0 or alpha >= OPAQUE:
             continue
         if found < 0 or distance[g] > distance[found]:
             found = g
@@ -391,8 +261,8 @@ def draw_range(
     s = _scratch(scene.numbers, count, sizes[2], lights, height, width)
     whole = np.array([0, height - 1, 0, width - 1])
     kept = backgrounds.drawn.shape[0] > 0
-    for place in range(first, last):
-        e = max(which[place], 0)
+    for number in range(first, last):
+        e = max(which[number], 0)
         read_row(
             scene.geoms,
             scene.numbers,
@@ -403,9 +273,9 @@ def draw_range(
             width,
             s.row,
         )
-        _look(s.row, s.lens, s.lights)
+        look(s.row, s.lens, s.lights)
         slot = COMMON
-        if kept and which[place] >= 0:
+        if kept and which[number] >= 0:
             drawn, rows = backgrounds.drawn, backgrounds.rows
             if not (drawn[COMMON] and _same(rows[COMMON], s.row)):
                 slot = e + 1
@@ -416,11 +286,11 @@ def draw_range(
                 known = not kept or (
                     backgrounds.drawn[slot] and _same(backgrounds.rows[slot], s.row)
                 )
-                if known and which[place] >= 0:
+                if known and which[number] >= 0:
                     continue
                 begin, end, detail = 0, still, FINE
                 image = backgrounds.image[slot]
-            elif which[place] < 0:
+            elif which[number] < 0:
                 continue
             else:
                 begin, end, detail = still if kept else 0, count, DETAIL
@@ -435,11 +305,11 @@ def draw_range(
             s.shown[0, TRIANGLE] = -1
             for g in range(count):
                 at = geoms_at + GEOM_SIZE * g
-                s.placed[g, _LEVEL] = -1
+                s.placed[g, LEVEL] = -1
                 opaque = s.row[at + RGBA + 3] >= OPAQUE
                 if (g < begin or g >= end) if opaque else not moving:
                     continue
-                s.distance[g] = _place(
+                s.distance[g] = place(
                     scene.geoms[g],
                     scene.bounds[g],
                     scene.errors,
@@ -454,7 +324,7 @@ def draw_range(
                     s.placed[g],
                     s.boxes[g],
                 )
-                if opaque and s.placed[g, _LEVEL] >= 0:
+                if opaque and s.placed[g, LEVEL] >= 0:
                     _draw(scene, g, 0, s)
             with_sky = not (moving and kept)
             _colour(scene, geoms_at, 0, whole, _ONE, with_sky, image, s)
@@ -465,7 +335,7 @@ def draw_range(
                 backgrounds.drawn[slot] = True
         # Transparent geoms are blended over the rest, the farthest first. They have no
         # depth, as in MuJoCo; of each the closest triangles show.
-        while which[place] >= 0:
+        while which[number] >= 0:
             g = _farthest(s.row, geoms_at, s.placed, s.distance)
             if g < 0:
                 break
@@ -484,8 +354,8 @@ def draw_range(
                 for x in range(left, beside):
                     if s.shown[1, TRIANGLE, y, x] >= 0:
                         s.shown[0, GEOM, y, x] = g
-            s.placed[g, _LEVEL] = -1
-        if geoms.shape[0] and which[place] >= 0:
+            s.placed[g, LEVEL] = -1
+        if geoms.shape[0] and which[number] >= 0:
             for y in range(height):
                 for x in range(width):
                     g, over = s.shown[0, GEOM, y, x], s.depth[0, y, x]

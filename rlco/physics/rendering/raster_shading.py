@@ -145,7 +145,7 @@ def shade(
         )
     _unit(normal)
     _lit(row, lights, v)
-    texture = np.int64(row[TEXTURE])
+    texture: Any = np.int64(row[TEXTURE])
     if texture < 0:
         return
     texel = v[_TEXEL]
