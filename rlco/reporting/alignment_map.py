@@ -101,11 +101,13 @@ def neighbours(columns: Sequence[Column], share: float) -> list[Column]:
 
 def in_words(column: Column) -> str:
     """Return what reinforcement learning and the anchor did in a column."""
+    alone = points(column.gain("rl_only", "sft"))
+    anchored = points(column.gain("rl_co", "rl_only"))
     return (
-        f"{column.task}, {column.gap} (share {column.share:.2f}): imitation of both "
-        f"solved {100 * column.mean('sft'):.0f} % in the robot's part, reinforcement "
-        f"learning alone ended {points(column.gain('rl_only', 'sft'))} from there, "
-        f"and with the anchor {points(column.gain('rl_co', 'rl_only'))} from that."
+        f"{column.task}, {column.gap} ({in_percent(column.share)} explained): "
+        f"imitation of both solved {in_percent(column.mean('sft'))} in the robot's "
+        f"part, reinforcement learning alone ended {alone} points from there, and with "
+        f"the anchor {anchored} points from that."
     )
 
 
@@ -114,7 +116,17 @@ def points(interval: Interval) -> str:
 
     Example:
         >>> points(Interval(0.077, 0.025, 0.122))
-        '+7.7 points [+2.5, +12.2]'
+        '+7.7 [+2.5, +12.2]'
     """
     low, high = 100 * interval.low, 100 * interval.high
-    return f"{100 * interval.estimate:+.1f} points [{low:+.1f}, {high:+.1f}]"
+    return f"{100 * interval.estimate:+.1f} [{low:+.1f}, {high:+.1f}]"
+
+
+def in_percent(share: float) -> str:
+    """Return a share in percent; below 0 the number itself says more.
+
+    Example:
+        >>> in_percent(0.756), in_percent(-1.2)
+        ('76 %', 'none (-1.2)')
+    """
+    return f"{100 * share:.0f} %" if share > 0 else f"none ({share:.2g})"

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from rlco.reporting.alignment_map import (
     Column,
+    in_percent,
     in_words,
     neighbours,
     points,
@@ -94,16 +95,6 @@ class Alignment:
         return [*found, *map(in_words, near)]
 
 
-def in_percent(share: float) -> str:
-    """Return a share in percent; below 0 the number itself says more.
-
-    Example:
-        >>> in_percent(0.756), in_percent(-1.2)
-        ('76 %', 'none (-1.2)')
-    """
-    return f"{100 * share:.0f} %" if share > 0 else f"none ({share:.1f})"
-
-
 def write_alignment(folder: Path, found: Alignment) -> Path:
     """Write ``alignment.json`` and ``report.html`` into a folder; return the latter."""
     write_json(folder / "alignment.json", asdict(found))
@@ -172,17 +163,27 @@ def map_table(columns: Sequence[Column], share: float) -> str:
             column.share,
             [
                 escape(f"{column.task}, {column.gap}"),
-                f"{column.share:.2f}",
-                *(f"{100 * column.mean(name):.0f} %" for name in ("real_only", "sft")),
+                unbroken(in_percent(column.share)),
+                *(
+                    unbroken(in_percent(column.mean(name)))
+                    for name in ("real_only", "sft")
+                ),
                 points(column.gain("rl_only", "sft")),
                 points(column.gain("rl_co", "rl_only")),
             ],
         )
         for column in columns
     ]
-    rows.append((share, ["<strong>your case</strong>", f"{share:.2f}", *4 * ["?"]]))
-    head = ["gap", "share", "real_only", "sft", "RL alone - sft", "anchored - RL alone"]
+    own = ["<strong>your case</strong>", unbroken(in_percent(share)), *4 * ["?"]]
+    rows.append((share, own))
+    head = ["gap", "explained", "real_only", "sft", "RL alone - sft [points]"]
+    head.append("anchored - RL alone [points]")
     return table(head, [cells for _, cells in sorted(rows, key=lambda row: row[0])])
+
+
+def unbroken(text: str) -> str:
+    """Return a text in HTML that stays on one line."""
+    return escape(text).replace(" ", "&nbsp;")
 
 
 def _cell(share: float | None) -> str:

@@ -70,7 +70,7 @@ def test_differences_are_within_seeds() -> None:
     lost = found.gain("rl_only", "sft")
     # Each seed loses ten points: seeds that differ do not blur it.
     assert lost == pytest.approx((-0.1, -0.1, -0.1))
-    assert "ended -10.0 points [-10.0, -10.0] from there" in in_words(found)
+    assert "ended -10.0 [-10.0, -10.0] points from there" in in_words(found)
 
 
 def test_ones_own_case_stands_where_it_belongs_in_the_table() -> None:
