@@ -84,7 +84,7 @@ def test_an_environment_closes_its_camera() -> None:
     env.reset()
     env.close()
     with pytest.raises(RlcoError, match="this camera is closed"):
-        env._camera.frame(env.stepper.data[0])
+        env.reset()
 
 
 def test_a_camera_can_be_used_in_another_thread() -> None:

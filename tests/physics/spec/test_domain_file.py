@@ -85,7 +85,7 @@ def test_effects_are_added_to_a_domain() -> None:
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        ("effects: [", "cannot be read"),
+        ("effects: [", "is no YAML"),
         ("effects: []\nsensors: {camera_yow: 1}", "'camera_yow'.*mean 'camera_yaw'"),
         ("effects: []\nsensors: {camera_yaw: much}", "'much'; give a number"),
         ("effects: []\nsensors: {camera_yaw: .nan}", "nan; give a number"),
@@ -131,9 +131,11 @@ def test_names_and_paths_that_are_not_there(tmp_path: Path) -> None:
         make_domain("stand_inn")
     with pytest.raises(UnknownNameError, match=r"stand_in, the path of a domain's"):
         make_domain("robot")
-    for path in ("robot.yaml", "no/robot", tmp_path / "robot", tmp_path):
-        with pytest.raises(DataError, match="cannot be read"):
+    for path in ("robot.yaml", "no/robot", tmp_path / "robot"):
+        with pytest.raises(DataError, match=r"is missing; give an effects\.yaml"):
             make_domain(path)
+    with pytest.raises(DataError, match=r"cannot be read \(Is a directory\)"):
+        make_domain(tmp_path)
 
 
 def test_a_file_may_not_take_the_name_of_a_domain(tmp_path: Path) -> None:

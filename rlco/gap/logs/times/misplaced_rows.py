@@ -60,7 +60,10 @@ def _wrong(ticks: Array, values: Array, row: int, noise: Array) -> float:
         return 0.0
     free = np.arange(ticks[row - 1] + 1.0, ticks[row + 1])
     off = [_off(tick, ticks[near], values[near], values[row], noise) for tick in free]
-    now = off[int(ticks[row] - free[0])]
+    here = np.flatnonzero(free == ticks[row])
+    if not len(here):  # times so large that floats have no ticks between them
+        return 0.0
+    now = off[int(here[0])]
     return now if min(off) < _SHARE * now else 0.0
 
 
