@@ -233,7 +233,9 @@ def test_a_training_of_another_lerobot_is_refused_before_it_is_trained(
     broken = ('{"option_of_another_lerobot": 1}', '{"env": {"type": "gone"}}')
     for text in (*broken, "{", "null"):
         (copied / "train_config.json").write_text(text)
-        with pytest.raises(CheckpointError, match=r"take the file away|copy the folder"):
+        with pytest.raises(
+            CheckpointError, match=r"take the file away|copy the folder"
+        ):
             load_lerobot(copied)
 
 
