@@ -231,7 +231,8 @@ def search(
     if before is None:
         return verdict, prepared
     if verdict.verdict in _QUIET and verdict.complete:
-        verdict = replace(verdict, verdict=NO_CHANGE)
+        # Shares of a difference within what is not known would mean nothing.
+        verdict = replace(verdict, verdict=NO_CHANGE, closest=())
     changed = _sizes(prepared.problem, verdict.hypothesis)
     return verdict, replace(prepared, before=replace(before, changed=changed))
 

@@ -82,6 +82,7 @@ def test_nothing_is_named_where_nothing_changed(arm: LoadedModel, seed: int) -> 
     )
     verdict = changed(arm, first, second)
     assert not verdict.effects
+    assert not verdict.closest
     assert verdict.verdict == "no_change"
 
 
