@@ -1,0 +1,37 @@
+"""What single effects explain by themselves, where a search could name none."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from hidden_arms import TWO_LINKS, record
+
+from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.search.find_gap import find_gap
+
+pytestmark = pytest.mark.slow
+
+
+def _ripple(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Push by what the library lacks."""
+    data.qfrc_applied[0] = 0.5 * np.sin(14.0 * data.qpos[0])
+
+
+def _weak(model: mujoco.MjModel) -> None:
+    model.actuator_gainprm[1, 0] *= 0.6
+    model.actuator_biasprm[1, 1] *= 0.6
+
+
+def test_what_explains_half_of_an_unexplained_gap_is_the_first_of_the_closest() -> None:
+    problem = ArmRollouts(
+        mujoco.MjSpec.from_string(TWO_LINKS), record(_weak, _ripple), np.full(2, 4e-4)
+    )
+    verdict = find_gap(problem)
+    assert verdict.verdict == "unexplained"
+    first, share = verdict.closest[0]
+    assert (first.name, first.target) == ("actuator_gain", "elbow")
+    assert share > 0.9
+    # What the tolerance of all parameters together hides is ranked by itself.
+    shares = [share for _, share in verdict.closest]
+    assert shares == sorted(shares, reverse=True)
