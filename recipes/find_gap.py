@@ -66,7 +66,7 @@ class Config:
     calibrate: Literal["none", "usual"] | None = option(
         None,
         "usual: fit first what is always a little wrong (friction, damping, inertias, "
-        "gains), then name what is left; null: usual with reference=, else none",
+        "gains), then name what remains; null: usual with reference=, else none",
     )
     check: str | None = option(
         None,

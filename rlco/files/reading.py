@@ -14,7 +14,7 @@ from zipfile import BadZipFile
 from rlco.errors import DataError, RlcoError
 
 #: What the standard library and those written in Python raise over bytes that are not
-#: what they expect. Those with an exception of their own are told by `reading`.
+#: what they expect. Those with an exception of their own are given to `reading`.
 FOREIGN: tuple[type[Exception], ...] = (
     ArithmeticError,
     AssertionError,

@@ -1,4 +1,4 @@
-"""Calibrate a model, then name what is left, or what changed since.
+"""Calibrate a model, then name what it still lacks, or what changed since.
 
 Two recordings of one robot, before and after something in it changed: the first
 calibrates the model and tells what it lacks besides; what the second shows beyond that
@@ -39,7 +39,7 @@ from rlco.physics.effects.apply import apply_to_spec
 CALIBRATE = ("none", "usual")
 NO_CHANGE = "no_change"
 _QUIET = ("no_gap", "no_improvement")
-# What a calibration fits is not searched beside it: it is told as calibrated.
+# What a calibration fits is not searched beside it: it is reported as calibrated.
 FITTED = (
     "coulomb_friction",
     "viscous_damping",

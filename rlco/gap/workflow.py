@@ -255,7 +255,7 @@ def run_gap(
         reference: Recordings of the same robot before something in it changed: names
             what changed. Calibrates the model with them.
         calibrate: ``usual`` fits first what is always a little wrong, under priors, and
-            names what is left; ``none`` does not. None: ``usual`` with a reference.
+            names what remains; ``none`` does not. None: ``usual`` with a reference.
         threads: Number of parallel simulations.
         progress: Called with a sentence and the fraction done, from 0 to 1.
 

@@ -76,7 +76,7 @@ class Calibration:
 
     @property
     def covariance(self) -> Array:
-        """What is left open of the amounts, (N, N)."""
+        """Covariance of the amounts, (N, N)."""
         return self._inverse(self.normal / self.length, 1.0)
 
     def covariance_per_row(self) -> Array:

@@ -25,7 +25,7 @@ from rlco.gap.search.judge import (
 )
 from rlco.gap.search.state import Residual, Rivals, State
 
-CLOSEST = 5  # effects that are told where none is named
+CLOSEST = 5  # effects that are reported where none is named
 DOUBT = "more is missing than what is named, or something else"
 NOTHING_SEARCHED = "Nothing was searched: interrupted before any effect was fitted."
 

@@ -85,7 +85,7 @@ def _shape(
     """Return a free form as it is drawn: torque over position, velocity and time."""
     count = len(free.position)
     over_position, over_velocity = amounts[:count].copy(), amounts[count:].copy()
-    # A constant is in both: it is told with the position.
+    # A constant is in both: it is reported with the position.
     constant = float(over_velocity.mean())
     over_position, over_velocity = over_position + constant, over_velocity - constant
     time, torque = _over_time(
