@@ -27,7 +27,8 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 BENCHMARKS = ROOT / "benchmarks"
 #: Where the cells of an experiment are, if not in a folder of its name.
-CELLS = dict.fromkeys(("alignment", "two_by_two", "length", "methods"), "push_cube")
+ON_PUSH_CUBE = ("alignment", "two_by_two", "length", "methods", "adapted")
+CELLS = {**dict.fromkeys(ON_PUSH_CUBE, "push_cube"), "planar_adapted": "planar"}
 MARKED = re.compile(r"(<!-- results (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
