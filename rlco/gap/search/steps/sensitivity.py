@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from rlco.gap.logs.log import Array
 from rlco.gap.search.fit import linearise
 from rlco.gap.search.setting import Weights, in_noise, moved_by_tolerance
 from rlco.gap.search.state import State
 from rlco.gap.search.whitening import Whitening
+from rlco.physics.effects import AppliedEffect
 
 GREW = 30.0  # ratio of squared sensitivities from which whitening is repeated
+_PARALLEL = 1e-6  # part of a parameter's change that no other parameter does
 
 
 def rewhiten(state: State) -> State:
@@ -26,6 +30,8 @@ def rewhiten(state: State) -> State:
     scale = problem.noise[problem.layout.channel]
     screened = np.isin(problem.layout.recording, state.screened)
     _, moved = moved_by_tolerance(problem, best.effects, state.screened)
+    if problem.calibration is not None:
+        moved = _beyond_effects(state, moved, scale[screened])
     after = float(in_noise(moved, prior, scale[screened]).sum())
     calm = float(setting.calm[screened].sum())
     state = replace(state, sensitivity=after / calm if calm > 0.0 else 1.0)
@@ -46,6 +52,29 @@ def rewhiten(state: State) -> State:
     fresh, _ = fresh.score([nothing])
     fresh, again = fresh.fit([best.effects])
     return replace(fresh, best=again[0]) if again else state
+
+
+def _beyond_effects(state: State, moved: Array, scale: Array) -> Array:
+    """Return the tolerance's change less what the best effects' parameters do, too.
+
+    A calibration leaves open what moves nothing, such as all masses together with the
+    torque's unit. That unit also scales the torque of a payload: so its mass is not
+    known better than the unit, but the payload itself is no less certain.
+    """
+    setting, some = state.setting, state.screened
+
+    def in_units(lists: Sequence[tuple[AppliedEffect, ...]]) -> Array:
+        return setting.residuals(lists, some) / scale
+
+    fitted = linearise(setting.library, state.best.effects, in_units)
+    columns = fitted.jacobian.T
+    if not np.isfinite(columns).all() or not np.isfinite(moved).all():
+        return moved
+    sizes = np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    basis, triangle = np.linalg.qr(columns / sizes)
+    basis = basis[:, np.abs(np.diag(triangle)) > _PARALLEL]
+    scaled = moved / scale
+    return np.asarray((scaled - (scaled @ basis) @ basis.T) * scale)
 
 
 def tolerance_beside(state: State) -> tuple[State, Whitening]:

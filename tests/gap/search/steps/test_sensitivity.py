@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import mujoco
 import numpy as np
 import pytest
 from hidden_arms import TWO_LINKS, record
+from recorded_torques import XML, loaded_hand, record_torques, wrong_everywhere
 
+from rlco.gap.calibrate.remaining import SPREAD
 from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.model import load_model
+from rlco.gap.reference import prepare
 from rlco.gap.search.fit import linearise
 from rlco.gap.search.state import State
 from rlco.gap.search.steps.sensitivity import rewhiten
@@ -60,3 +65,20 @@ def test_an_arm_that_is_not_more_sensitive_keeps_its_weights() -> None:
     again = rewhiten(first)
     assert again.setting is first.setting
     assert again.sensitivity == pytest.approx(1.0)
+
+
+def test_a_load_is_certain_though_the_unit_of_torques_is_not(tmp_path: Path) -> None:
+    """All masses and the torque's factor may grow together: so may the load's torque.
+
+    That is an uncertainty of its mass alone. Counted as sensitivity of the arm, it was
+    24 times the tolerance before, and explained a load that is there ten times over.
+    """
+    path = tmp_path / "arm.xml"
+    path.write_text(XML)
+    before = record_torques(wrong_everywhere, seed=1)
+    after = record_torques(wrong_everywhere, loaded_hand, seed=3)
+    known = prepare(load_model(path), after, before, None, 1, lambda said, part: None)
+    first = start(known.problem, spread=SPREAD)
+    place = {"mass": 0.1, "x": 0.15, "y": 0.0, "z": 0.0}
+    first, (found,) = first.fit([[AppliedEffect("payload", "lower", place)]])
+    assert rewhiten(replace(first, best=found)).sensitivity < 2.0
