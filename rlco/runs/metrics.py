@@ -13,6 +13,7 @@ from typing import Any
 
 from rlco.errors import RlcoError
 from rlco.files import reading
+from rlco.runs.whole_files import sync_folder
 
 
 class MetricsFile:
@@ -92,6 +93,7 @@ class MetricsFile:
         if self.path.exists():
             with self.path.open("rb") as file:
                 os.fsync(file.fileno())
+            sync_folder(self.path.parent)  # it was renamed where a column came
 
     def digest(self) -> str:
         """Return the SHA-256 of the file as it is, of nothing where there is none."""
@@ -102,7 +104,9 @@ class MetricsFile:
         advice = "put the table of this run back, or start a new run"
         with reading(self.path, csv.Error, advice=advice, error=RlcoError):
             text = self.path.read_bytes().decode("utf-8")
-            whole = text[: text.rfind("\n") + 1]  # a killed writer may cut its last row
+            # A killed writer may cut its last row; a power cut leaves zeros for rows.
+            text = text.partition("\0")[0]
+            whole = text[: text.rfind("\n") + 1]
             reader = csv.DictReader(io.StringIO(whole, newline=""), strict=True)
             for row in reader:
                 if keep_to is not None and int(row["step"]) <= keep_to:
@@ -121,6 +125,8 @@ class MetricsFile:
             if self._columns:
                 file.write(",".join(self._columns) + "\n")
             file.writelines(_line(row, self._columns) for row in self._rows)
+            file.flush()
+            os.fsync(file.fileno())  # else a power cut after the renaming empties it
         part.replace(self.path)
 
 
