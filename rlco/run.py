@@ -24,7 +24,14 @@ from rlco.errors import NonFiniteError, RlcoError
 from rlco.reporting.headless import choose_gl
 from rlco.runs import checkpoints, run_folder
 from rlco.runs.config import RunOptions, parse, to_yaml
-from rlco.runs.endings import STORAGE, Stopped, stop_on_signals, storage_problem
+from rlco.runs.endings import (
+    STORAGE,
+    Stopped,
+    is_out_of_memory,
+    memory_problem,
+    stop_on_signals,
+    storage_problem,
+)
 from rlco.runs.metrics import MetricsFile
 from rlco.runs.resumed import (
     check_checkpoint,
@@ -58,8 +65,8 @@ def run_recipe[C](
     """Start a recipe: read its options, run it, turn wrong input into one sentence.
 
     Wrong input ends with its message on stderr and status 2, a full or read-only disk
-    with status 1, Ctrl-C with status 130, SIGTERM and SIGHUP with 143 and 129. Every
-    other exception keeps its traceback: it is a defect.
+    and a full memory with status 1, Ctrl-C with status 130, SIGTERM and SIGHUP with 143
+    and 129. Every other exception keeps its traceback: it is a defect.
 
     Args:
         main: The recipe; its file names the recipe and the folder of its YAML.
@@ -90,6 +97,11 @@ def run_recipe[C](
         if error.errno not in STORAGE:
             raise
         sys.stderr.write(f"error: {storage_problem(error)}\n")
+        raise SystemExit(1) from None
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
+        sys.stderr.write(f"error: {memory_problem(error)}\n")
         raise SystemExit(1) from None
     except KeyboardInterrupt as stop:
         number = stop.number if isinstance(stop, Stopped) else signal.SIGINT
@@ -218,7 +230,8 @@ class Run:
             # For the file alone: on the screen the error speaks for itself.
             what = (status, (), (kind, error, trace))
             self._handler.handle(log.makeRecord(log.name, logging.ERROR, "", 0, *what))
-            if isinstance(error, OSError) and error.errno in STORAGE:
+            full = isinstance(error, OSError) and error.errno in STORAGE
+            if full or is_out_of_memory(error):
                 log.warning("resume=%s continues this run then", self.path)
             if isinstance(error, NonFiniteError) and self.step is not None:
                 log.warning("the last good state is %s", self._last_checkpoint())

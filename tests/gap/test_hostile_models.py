@@ -52,3 +52,14 @@ def test_a_model_that_is_no_text(tmp_path: Path) -> None:
     file.write_bytes(b"<mujoco>\xff\xfe</mujoco>")
     with pytest.raises(RlcoError, match="give an MJCF or URDF file"):
         load_model(file)
+
+
+def test_a_trial_that_is_killed_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the system does where all memory is taken."""
+    monkeypatch.setattr(trial, "_CODE", "import os; os.kill(os.getpid(), 9)")
+    file = tmp_path / "model.xml"
+    file.write_text(COPIES.replace("100000000", "3"))
+    with pytest.raises(RlcoError, match=r"takes more than 2\.0 GB"):
+        load_model(file)
