@@ -127,6 +127,7 @@ def stage_one(config: Config, **given: Any) -> StageOneOptions:
     """Return the options of a run of Stage I, of simulated demonstrations alone."""
     return StageOneOptions(
         threads=config.threads,
+        keep_checkpoints=config.keep_checkpoints,
         task=config.task,
         sim_ratio=1.0,
         updates=config.updates,

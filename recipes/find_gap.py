@@ -80,6 +80,11 @@ class Config:
     spread: float = option(
         0.03, "how far off any number of the model may be", minimum=0, maximum=0.5
     )
+    model_root: str | None = option(
+        None,
+        "folder in which all files lie that the model reads, such as meshes; null: its "
+        "own, or that of the ROS package around it",
+    )
     threads: int = option(2, "simulations at a time", minimum=1)
 
 
@@ -105,6 +110,7 @@ def main(config: Config) -> None:
                 reference=config.reference,
                 calibrate=config.calibrate,
                 effects_code=config.effects_code or config.effects,
+                model_root=config.model_root,
                 threads=config.threads,
                 progress=progress,
             )
@@ -133,6 +139,7 @@ def check(config: Config, effects: str) -> None:
             angles=config.angles,
             compare=config.compare,
             effects_code=config.effects_code or config.effects,
+            model_root=config.model_root,
             threads=config.threads,
         )
         for line in (*(f"note: {note}" for note in found.notes), *found.lines()):

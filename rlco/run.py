@@ -8,7 +8,6 @@ from __future__ import annotations
 import inspect
 import logging
 import os
-import re
 import shutil
 import signal
 import sys
@@ -23,9 +22,16 @@ from tqdm import tqdm
 
 from rlco.errors import NonFiniteError, RlcoError
 from rlco.reporting.headless import choose_gl
-from rlco.runs import run_folder
+from rlco.runs import checkpoints, run_folder
 from rlco.runs.config import RunOptions, parse, to_yaml
-from rlco.runs.endings import STORAGE, Stopped, stop_on_signals, storage_problem
+from rlco.runs.endings import (
+    STORAGE,
+    Stopped,
+    is_out_of_memory,
+    memory_problem,
+    stop_on_signals,
+    storage_problem,
+)
 from rlco.runs.metrics import MetricsFile
 from rlco.runs.resumed import (
     check_checkpoint,
@@ -45,8 +51,6 @@ log = logging.getLogger("rlco.run")
 # What a row of metrics.csv shows beside the bar.
 _SHOWN = ("success", "loss", "imitation_error")
 
-
-_NAME = re.compile(r"step_\d{7,}\.safetensors")
 #: Between lines on the progress of a run where there is no terminal for a bar [s].
 QUIET = 15.0
 
@@ -61,8 +65,8 @@ def run_recipe[C](
     """Start a recipe: read its options, run it, turn wrong input into one sentence.
 
     Wrong input ends with its message on stderr and status 2, a full or read-only disk
-    with status 1, Ctrl-C with status 130, SIGTERM and SIGHUP with 143 and 129. Every
-    other exception keeps its traceback: it is a defect.
+    and a full memory with status 1, Ctrl-C with status 130, SIGTERM and SIGHUP with 143
+    and 129. Every other exception keeps its traceback: it is a defect.
 
     Args:
         main: The recipe; its file names the recipe and the folder of its YAML.
@@ -93,6 +97,11 @@ def run_recipe[C](
         if error.errno not in STORAGE:
             raise
         sys.stderr.write(f"error: {storage_problem(error)}\n")
+        raise SystemExit(1) from None
+    except (MemoryError, RuntimeError) as error:
+        if not is_out_of_memory(error):
+            raise
+        sys.stderr.write(f"error: {memory_problem(error)}\n")
         raise SystemExit(1) from None
     except KeyboardInterrupt as stop:
         number = stop.number if isinstance(stop, Stopped) else signal.SIGINT
@@ -138,6 +147,7 @@ class Run:
         self.recipe = recipe
         self._called = recipe  # where its progress is shown
         self.resumed = config.resume is not None
+        self._keep = config.keep_checkpoints
         if config.resume is not None:
             self.path = Path(config.resume)
             info = run_folder.read_info(self.path, recipe)
@@ -151,18 +161,24 @@ class Run:
         self._info["options"] = options_by_name(config)
         self._info["status"] = "running"
         options = to_yaml(config, leave_out=("out", "resume"))
-        if self.resumed:
-            write_text(self.path / "config.yaml", options)
-        else:
+        if not self.resumed:
             first = {"config.yaml": options, "run.json": json_text(self._info)}
             self.path = run_folder.create(
                 config.out, config.name, config.seed, recipe, root, first
             )
             self._lock = run_folder.lock(self.path)
+        self.checkpoints = self.path / "checkpoints"
         self._start: float = time.perf_counter() - self._info["seconds"]
-        self._write_info("running")
-        self._open_tables()
         self._open_log()
+        try:
+            self._open_tables()
+            if self.resumed:
+                write_text(self.path / "config.yaml", options)
+            self._write_info("running")
+        except BaseException:
+            self._close_log()
+            os.close(self._lock)  # what is wrong is mended, and it is tried again
+            raise
         import torch
 
         from rlco.runs.state_files import seed_everything
@@ -171,11 +187,11 @@ class Run:
         seed_everything(config.seed)
 
     def _open_tables(self) -> None:
-        remove_parts(self.path)
-        self.checkpoints = self.path / "checkpoints"
-        saved = _checkpoint_files(self.checkpoints)
         # The last iteration that a checkpoint holds; None before the first.
-        self.step = int(saved[-1].stem.removeprefix("step_")) if saved else None
+        self.step = checkpoints.go_on_from(
+            self.checkpoints, self._info.get("checkpoint")
+        )
+        remove_parts(self.path)
         self._metrics = MetricsFile(self.path / "metrics.csv", keep_to=self.step)
         self._timings = MetricsFile(self.path / "timings.csv", keep_to=self.step)
         self._rng: Mapping[str, Any] | None = None
@@ -191,6 +207,10 @@ class Run:
             Printable("%(asctime)s %(levelname)s %(name)s: %(message)s")
         )
         logging.getLogger("rlco").addHandler(self._handler)
+
+    def _close_log(self) -> None:
+        logging.getLogger("rlco").removeHandler(self._handler)
+        self._handler.close()
 
     def __enter__(self) -> Self:
         return self
@@ -210,16 +230,16 @@ class Run:
             # For the file alone: on the screen the error speaks for itself.
             what = (status, (), (kind, error, trace))
             self._handler.handle(log.makeRecord(log.name, logging.ERROR, "", 0, *what))
-            if isinstance(error, OSError) and error.errno in STORAGE:
+            full = isinstance(error, OSError) and error.errno in STORAGE
+            if full or is_out_of_memory(error):
                 log.warning("resume=%s continues this run then", self.path)
             if isinstance(error, NonFiniteError) and self.step is not None:
                 log.warning("the last good state is %s", self._last_checkpoint())
-        logging.getLogger("rlco").removeHandler(self._handler)
         try:
+            self._close_log()
             self._write_info(status)
             if self._board is not None:
                 self._board.close()
-            self._handler.close()
         except OSError:
             if error is None:  # else the first one says why
                 raise
@@ -297,13 +317,16 @@ class Run:
         """Write one row of timings.csv: what differs from run to run [s]."""
         self._log(self._timings, step, row, "time/")
 
-    def save_checkpoint(self, step: int, state: Any, *, keep: int = 2) -> Path:
+    def save_checkpoint(
+        self, step: int, state: Any, *, keep: int | None = None
+    ) -> Path:
         """Save state, and the random numbers', as the last act of an iteration.
 
         Args:
             step: The iteration just done.
             state: As :func:`rlco.runs.state_files.save_state` takes it.
-            keep: Older checkpoints beyond so many are removed.
+            keep: Older checkpoints beyond so many are removed; by default the option
+                ``keep_checkpoints``.
 
         Returns:
             The file.
@@ -312,19 +335,19 @@ class Run:
             NonFiniteError: A tensor holds NaN or infinity; nothing is written.
         """
         from rlco.finite import check_saved, named_tensors
-        from rlco.runs.state_files import rng_state, save_state
+        from rlco.runs.state_files import rng_state
 
         check_saved(f"the checkpoint of iteration {step}", named_tensors(state))
         self._metrics.sync()
         self._timings.sync()
-        path = _made(self.checkpoints) / f"step_{step:07d}.safetensors"
-        save_state(
-            path,
-            {"state": state, "rng": rng_state(), "metrics": self._metrics.digest()},
+        digest = self._metrics.digest()
+        path = checkpoints.save_checkpoint(
+            self.checkpoints,
+            step,
+            {"state": state, "rng": rng_state(), "metrics": digest},
+            keep=self._keep if keep is None else keep,
         )
         self.step = step
-        for old in _checkpoint_files(self.checkpoints)[:-keep]:
-            old.unlink()
         self._write_info("running")
         return path
 
@@ -349,7 +372,7 @@ class Run:
         return saved["state"]
 
     def _last_checkpoint(self) -> Path:
-        return _checkpoint_files(self.checkpoints)[-1]
+        return list(checkpoints.checkpoint_files(self.checkpoints).values())[-1]
 
     def save_results(
         self,
@@ -426,14 +449,12 @@ class Run:
                     self._board.add_scalar(prefix + name, value, int(row["step"]))
 
     def _write_info(self, status: str) -> None:
-        self._info |= {"status": status, "seconds": self.seconds}
+        self._info |= {
+            "status": status,
+            "seconds": self.seconds,
+            "checkpoint": self.step,
+        }
         write_json(self.path / "run.json", self._info)
-
-
-def _checkpoint_files(folder: Path) -> list[Path]:
-    """List whole checkpoints, oldest first; one cut off has another name."""
-    found = folder.glob("step_*.safetensors")
-    return sorted(file for file in found if _NAME.fullmatch(file.name))
 
 
 def _made(folder: Path) -> Path:

@@ -30,6 +30,7 @@ class FiniteRollout(Transform):
 
     Attributes:
         iteration: Number of the rollout, for the message.
+        decision: Decisions of it that have been played.
 
     Raises:
         NonFiniteError: A number is NaN or infinite.
@@ -39,22 +40,22 @@ class FiniteRollout(Transform):
         super().__init__()
         read = [key for one in readers for key in getattr(one, "in_keys", ())]
         self._seen = tuple(key for key in _OBSERVED if key in read)
-        self._decision = 0
+        self.decision = 0
         self.iteration = 0
 
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        self._decision = 0
+        self.decision = 0
         self._check(tensordict_reset, self._seen, "as it starts")
         return tensordict_reset
 
     def _step(
         self, tensordict: TensorDictBase, next_tensordict: TensorDictBase
     ) -> TensorDictBase:
-        when = f"after decision {self._decision}"
+        when = f"after decision {self.decision}"
         self._check(next_tensordict, (keys.REWARD, *self._seen), when)
-        self._decision += 1
+        self.decision += 1
         return next_tensordict
 
     def _check(

@@ -16,6 +16,7 @@ from torchrl.objectives.value import GAE
 
 from rlco import keys
 from rlco.collectors.advantages import Advantage, group_advantages, normalize
+from rlco.collectors.patience import impatient
 from rlco.collectors.rollout_checks import FiniteRollout, check_computed
 from rlco.envs import check_action_units
 from rlco.envs.chunk_env import ChunkEnv
@@ -136,7 +137,8 @@ class RolloutCollector:
         """
         self.env.start_at(iteration)
         self._finite.iteration = iteration
-        with set_exploration_type(ExplorationType.RANDOM):
+        watched = impatient(lambda: self._finite.decision, f"rollout {iteration}")
+        with watched, set_exploration_type(ExplorationType.RANDOM):
             rollout = next(self._batches)
         rollout = self._estimate(rollout)
         check_computed(rollout, iteration)

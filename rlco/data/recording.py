@@ -17,6 +17,7 @@ import numpy.typing as npt
 from rlco.data.low_dim_episodes import LowDimEpisodes
 from rlco.errors import ConfigError, DataError, OutputExistsError
 from rlco.lerobot_files import UNFINISHED_MARK
+from rlco.runs.whole_files import sync_tree
 
 Frame = dict[str, Any]
 
@@ -182,6 +183,7 @@ class DemoWriter:
             )
         if not self.saved_episodes:
             raise DataError(f"nothing was recorded to {str(self.path)!r}.")
+        sync_tree(self.path)  # else a power cut leaves empty files that nothing marks
         (self.path / UNFINISHED_MARK).unlink()
 
     def __enter__(self) -> Self:

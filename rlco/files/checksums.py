@@ -1,7 +1,8 @@
-"""A checksum in a safetensors file: a bit that flipped in it does not go unnoticed.
+"""A checksum in a safetensors or JSON file: a flipped bit in it does not go unnoticed.
 
-The file's header holds the SHA-256 of the whole file, taken while 64 zeros stand in its
-place. Files without one, written by others or before there was one, are not checked.
+The header of a safetensors file holds the SHA-256 of the whole file, taken while 64
+zeros stand in its place; a JSON file that of its content, whatever its layout. Files
+without one, written by others or before there was one, are not checked.
 """
 
 from __future__ import annotations
@@ -9,8 +10,9 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from rlco.errors import CheckpointError
 from rlco.files.reading import reading
@@ -36,8 +38,11 @@ def seal(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def verify(path: Path) -> None:
+def verify(path: Path) -> bool:
     """Check a safetensors file against the checksum in it, where it has one.
+
+    Returns:
+        Whether it has one.
 
     Raises:
         CheckpointError: It is missing, or not what was written.
@@ -49,7 +54,7 @@ def verify(path: Path) -> None:
     ):
         written = _written(file)
         if written is None:
-            return
+            return False
         same = _digest(file, _place(file, written)) == written
     if not same:
         raise CheckpointError(
@@ -57,6 +62,19 @@ def verify(path: Path) -> None:
             "checksum, so something changed it after it was written; copy it again, or "
             "take one from before."
         )
+    return True
+
+
+def content_checksum(content: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of what a JSON file holds but for its entry `KEY`.
+
+    Example:
+        >>> content_checksum({"a": (1, 2)}) == content_checksum({"a": [1, 2], KEY: ""})
+        True
+    """
+    rest = {name: value for name, value in content.items() if name != KEY}
+    text = json.dumps(rest, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def _header(file: IO[bytes]) -> bytes:

@@ -12,16 +12,19 @@ from rlco.errors import DataError
 _FREE, _RATIO = 256 * 2**20, 4
 
 
-def check_declared(path: Path, declared: int, *, of: str = "") -> None:
+def check_declared(
+    path: Path, declared: int, *, of: str = "", ratio: int = _RATIO
+) -> None:
     """Check that a file declares no more numbers than its size allows for.
 
     Args:
         path: The file.
         declared: Bytes that its content would take in memory.
         of: A part of the file, for the message.
+        ratio: Of its content to the file, at most.
 
     Raises:
-        DataError: They are more than 256 MB and four times the file.
+        DataError: They are more than 256 MB and `ratio` times the file.
 
     Example:
         >>> check_declared(Path(__file__), 10**12)
@@ -31,7 +34,7 @@ def check_declared(path: Path, declared: int, *, of: str = "") -> None:
 numbers; give one that is what it says.
     """
     stored = path.stat().st_size
-    if declared > _FREE + _RATIO * stored:
+    if declared > _FREE + ratio * stored:
         raise DataError(
             f"{of}file {str(path)!r} of {stored / 1e6:.1f} MB declares "
             f"{declared / 1e6:.1f} MB of numbers; give one that is what it says."

@@ -77,6 +77,7 @@ def check_effects(
     angles: str | None = None,
     compare: str | None = None,
     effects_code: str | Path | None = None,
+    model_root: str | Path | None = None,
     threads: int = 2,
 ) -> Check:
     """Compare recordings with a model as it is, and with effects; nothing is fitted.
@@ -90,6 +91,8 @@ def check_effects(
         angles: ``degrees`` or ``radians``; None to infer it from their size.
         compare: ``positions`` or ``torques``; None: positions where there are commands.
         effects_code: A Python file that registers effects of your own.
+        model_root: The folder in which all files lie that the model reads, see
+            `run_gap`.
         threads: Number of parallel simulations.
 
     Raises:
@@ -101,7 +104,7 @@ def check_effects(
         array([2.0e-05, 2.1e-05])
     """
     load_code(effects_code)
-    loaded = load_model(model)
+    loaded = load_model(model, root=model_root)
     found = in_model(read_effects(effects).renamed(), loaded.model)
     compile_with(loaded.spec, found)
     log = read_log(data, loaded, rename=rename, scale=scale, angles=angles)

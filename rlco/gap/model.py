@@ -10,6 +10,7 @@ import mujoco
 from rlco.errors import RlcoError, UnknownNameError
 from rlco.files.texts import read_text
 from rlco.gap import servo_models
+from rlco.gap.declared import check_text
 from rlco.gap.prune import compile_whole, prune, prune_whole
 from rlco.gap.servo_models import Pendulum, Servo, pendulum_xml, servo_named
 from rlco.gap.trial import does_not_compile, try_model
@@ -62,17 +63,19 @@ class LoadedModel:
         return targets.free_bodies(self.model)
 
 
-def load_model(model: str | Path) -> LoadedModel:
+def load_model(model: str | Path, *, root: str | Path | None = None) -> LoadedModel:
     """Load an MJCF file, ``robosuite:TASK`` or ``bam:SERVO``.
 
     Args:
         model: A file that MuJoCo reads (MJCF or URDF), ``robosuite:push_cube`` for
             one of rlco's own tasks, ``robosuite:Lift`` for one of robosuite's, or
             ``bam:xl330`` for a servo on BAM's bench.
+        root: The folder in which all files lie that a model's file reads; None: that
+            of the model, or of the ROS package around it.
 
     Raises:
-        RlcoError: There is no such file, or MuJoCo cannot compile it; the message
-            quotes MuJoCo.
+        RlcoError: There is no such file, it reads files elsewhere, or MuJoCo cannot
+            compile it; the message quotes MuJoCo.
         UnknownNameError: There is no such task, or no such servo.
     """
     if str(model).startswith(servo_models.PREFIX):
@@ -87,6 +90,7 @@ def load_model(model: str | Path) -> LoadedModel:
             f"model={PREFIX}push_cube, or a servo as model={servo_models.PREFIX}xl330."
         )
     source = read_text(path, advice="give an MJCF or URDF file", error=RlcoError)
+    check_text(path, source, None if root is None else Path(root))
     try_model(path, source)
     try:
         spec = mujoco.MjSpec.from_file(str(path))

@@ -14,8 +14,9 @@ from pathlib import Path
 from rlco.errors import RlcoError
 from rlco.files.reading import cut
 
-#: What a model may take to compile, beyond what MuJoCo takes itself. [bytes], [s]
-MEMORY, SECONDS = 2 * 2**30, 30.0
+#: What a model may take to compile, beyond what MuJoCo takes itself: memory, time of
+#: the processor, and time on a machine that is busy. [bytes], [s], [s]
+MEMORY, SECONDS, WAIT = 2 * 2**30, 10.0, 60.0
 #: Elements of a model that is about as large as its text. What others make of a few
 #: words, or read from other files, is tried first.
 _PLAIN = frozenset(
@@ -45,6 +46,9 @@ import mujoco
 pages = int(open("/proc/self/statm").read().split()[5])
 most = pages * resource.getpagesize() + int(sys.argv[2])
 resource.setrlimit(resource.RLIMIT_DATA, (most, most))
+spent = int(resource.getrusage(resource.RUSAGE_SELF).ru_utime)
+most = spent + int(sys.argv[3])
+resource.setrlimit(resource.RLIMIT_CPU, (most, most))
 try:
     mujoco.MjSpec.from_file(sys.argv[1]).compile()
 except ValueError as error:
@@ -61,21 +65,20 @@ def try_model(path: Path, source: str) -> None:
         source: The text in it.
 
     Raises:
-        RlcoError: It takes more than two gigabytes or a minute, or does not compile.
+        RlcoError: It takes more than two gigabytes or ten seconds, or does not compile.
     """
     if is_plain(source):
         return
     memory = MEMORY + 20 * path.stat().st_size
-    command = [sys.executable, "-I", "-c", _CODE, str(path), str(memory)]
+    limits = [str(memory), str(int(SECONDS))]
+    command = [sys.executable, "-I", "-c", _CODE, str(path), *limits]
     too_large = RlcoError(
         f"model {str(path)!r} takes more than {memory / 2**30:.1f} GB or "
         f"{SECONDS:g} s to compile; make it smaller: a replicate, a height field, a "
         "composite or a mesh in it is too large."
     )
     try:
-        done = subprocess.run(
-            command, capture_output=True, timeout=SECONDS, check=False
-        )
+        done = subprocess.run(command, capture_output=True, timeout=WAIT, check=False)
     except subprocess.TimeoutExpired:
         raise too_large from None
     said = done.stdout.decode("utf-8", "replace")

@@ -230,6 +230,7 @@ def run_gap(
     compare: str | None = None,
     reference: str | Path | None = None,
     calibrate: str | None = None,
+    model_root: str | Path | None = None,
     threads: int = 2,
     progress: Progress | None = None,
 ) -> Finding:
@@ -256,6 +257,8 @@ def run_gap(
             what changed. Calibrates the model with them.
         calibrate: ``usual`` fits first what is always a little wrong, under priors, and
             names what remains; ``none`` does not. None: ``usual`` with a reference.
+        model_root: The folder in which all files lie that the model reads, such as
+            meshes; None: its own, or that of the ROS package around it.
         threads: Number of parallel simulations.
         progress: Called with a sentence and the fraction done, from 0 to 1.
 
@@ -273,7 +276,7 @@ def run_gap(
     say = progress or (lambda said, part: None)
     usual = calibrates(calibrate, reference is not None, compare)
     load_code(effects_code)
-    loaded = load_model(model)
+    loaded = load_model(model, root=model_root)
     recordings = read_log(data, loaded, rename=rename, scale=scale, angles=angles)
     asked, beside = chosen(recordings, compare)
     prepared = None

@@ -14,9 +14,8 @@ import pyarrow.parquet as pq
 from rlco.errors import DataError
 from rlco.files import reading
 from rlco.files.sizes import check_declared
+from rlco.lerobot_files.parquet_footer import leaves
 
-# Bytes of a value in memory; of texts and images the file says how many they are.
-_WIDTH = {"BOOLEAN": 1, "INT32": 4, "FLOAT": 4, "INT64": 8, "DOUBLE": 8, "INT96": 12}
 # Rows of texts or images read at a time: one of them, repeated, takes no place in a
 # file, and what a file declares does not say so.
 _AT_ONCE = 128
@@ -38,30 +37,19 @@ def read_table(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
                 f"{twice[0]!r}; write it again with each of them once."
             )
         wanted = [name for name in columns or names if name in names]
-        plain = _check_size(file, parquet.metadata, wanted)
+        plain = _check_size(file, parquet.metadata.num_rows, wanted)
         if plain:
             return parquet.read(columns=wanted)
         return _read_in_parts(file, parquet, wanted)
 
 
-def _check_size(file: Path, metadata: pq.FileMetaData, wanted: Sequence[str]) -> bool:
+def _check_size(file: Path, rows: int, wanted: Sequence[str]) -> bool:
     """Check what is declared; return whether all of it are plain numbers."""
-    declared, plain = 8 * metadata.num_rows * len(wanted), True
-    for number in range(metadata.num_row_groups):
-        group = metadata.row_group(number)
-        for column in map(group.column, range(group.num_columns)):
-            leaf = column.path_in_schema
-            if not any(leaf == name or leaf.startswith(f"{name}.") for name in wanted):
-                continue
-            width = _WIDTH.get(column.physical_type)
-            plain &= width is not None
-            declared += (
-                column.total_uncompressed_size
-                if width is None
-                else width * column.num_values
-            )
-    check_declared(file, declared)
-    return plain
+    columns = tuple(f"{name}." for name in wanted)
+    read = [leaf for leaf in leaves(file) if f"{leaf.path}.".startswith(columns)]
+    declared = 8 * rows * len(wanted)
+    check_declared(file, declared + sum(leaf.declared for leaf in read))
+    return all(leaf.plain for leaf in read)
 
 
 def _read_in_parts(

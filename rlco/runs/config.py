@@ -53,6 +53,12 @@ class RunOptions:
         maximum=1024,
         may_change=True,
     )
+    keep_checkpoints: int = option(
+        2,
+        "checkpoints that stay, the newest; each is as large as weights and optimiser",
+        minimum=1,
+        may_change=True,
+    )
     out: str | None = option(
         None, "run directory; null: outputs/RECIPE/DATE_NAME_sSEED", may_change=True
     )

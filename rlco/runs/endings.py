@@ -1,6 +1,6 @@
-"""How a run ends that does not finish: stopped by a signal, or nothing can be written.
+"""How a run ends that does not finish: by a signal, a full disk, or a full memory.
 
-Nothing that was saved is lost in either.
+Nothing that was saved is lost in any of them.
 """
 
 from __future__ import annotations
@@ -11,6 +11,7 @@ import threading
 from types import FrameType
 
 from rlco.files import shown
+from rlco.files.reading import reason
 
 #: What the system says where a disk is full, read-only, failing or not one's own.
 STORAGE = (
@@ -64,4 +65,37 @@ or give another place, nothing that was saved is lost."
     return (
         f"{name} cannot be written or read ({error.strerror}); make room or give "
         "another place, nothing that was saved is lost."
+    )
+
+
+def is_out_of_memory(error: BaseException) -> bool:
+    """Return whether an exception says that there is no memory left, of any device.
+
+    Example:
+        >>> is_out_of_memory(MemoryError()), is_out_of_memory(RuntimeError("no"))
+        (True, False)
+    """
+    if isinstance(error, MemoryError):
+        return True
+    # torch's: a class of its own for GPUs, which is not imported for this; on the CPU
+    # a message alone.
+    named = {kind.__name__ for kind in type(error).__mro__}
+    return "OutOfMemoryError" in named or (
+        isinstance(error, RuntimeError) and "can't allocate memory" in str(error)
+    )
+
+
+def memory_problem(error: BaseException) -> str:
+    """Return one sentence about a memory that is full.
+
+    Example:
+        >>> memory_problem(MemoryError("Unable to allocate 9 TiB"))
+        'there is not enough memory (Unable to allocate 9 TiB); nothing that was saved \
+is lost: give a smaller minibatch, batch_size, num_envs or image_size, or end other \
+processes.'
+    """
+    return (
+        f"there is not enough memory ({reason(error)}); nothing that was saved is "
+        "lost: give a smaller minibatch, batch_size, num_envs or image_size, or end "
+        "other processes."
     )

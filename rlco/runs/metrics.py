@@ -7,12 +7,13 @@ import csv
 import hashlib
 import io
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rlco.errors import RlcoError
 from rlco.files import reading
+from rlco.runs.whole_files import sync_folder
 
 
 class MetricsFile:
@@ -41,15 +42,17 @@ class MetricsFile:
 
     def __init__(self, path: Path, *, keep_to: int | None = None) -> None:
         self.path = path
+        # Rows stay in the file alone: a long run has more of them than fit a memory.
         self._columns: list[str] = []
-        self._rows: list[dict[str, str]] = []
+        self._last: dict[str, str] = {}
+        self._hash = hashlib.sha256()
         if path.exists():
             self._restore(keep_to)
 
     @property
     def last_step(self) -> int | None:
         """The step of the last row."""
-        return int(self._rows[-1]["step"]) if self._rows else None
+        return int(self._last["step"]) if self._last else None
 
     def append(self, step: int, row: Mapping[str, Any]) -> None:
         """Write one row; it is with the operating system when this returns.
@@ -70,58 +73,76 @@ class MetricsFile:
                 raise ValueError(f"{name!r} cannot name a column")
             cells[name] = _number(name, value)
         added = [name for name in cells if name not in self._columns]
-        self._columns += added
-        self._rows.append(cells)
         if added:
-            self._rewrite()
+            rows = [*self._read(), cells]
+            self._columns += added
+            self._rewrite(rows)
         else:
+            line = _line(cells, self._columns)
             with self.path.open("a", encoding="utf-8", newline="") as file:
-                file.write(_line(cells, self._columns))
+                file.write(line)
+            self._hash.update(line.encode())
+        self._last = cells
 
     def rows(self) -> list[dict[str, float]]:
         """Return every row as numbers by name, without the cells that are empty."""
-        return [{k: float(v) for k, v in row.items()} for row in self._rows]
+        return [{k: float(v) for k, v in row.items()} for row in self._read()]
 
     @property
     def last(self) -> dict[str, float]:
         """The last row, as in :meth:`rows`."""
-        return {name: float(cell) for name, cell in self._rows[-1].items()}
+        return {name: float(cell) for name, cell in self._last.items()}
 
     def sync(self) -> None:
         """Wait until every row is on the disk, not only with the operating system."""
         if self.path.exists():
             with self.path.open("rb") as file:
                 os.fsync(file.fileno())
+            sync_folder(self.path.parent)  # it was renamed where a column came
 
     def digest(self) -> str:
-        """Return the SHA-256 of the file as it is, of nothing where there is none."""
-        content = self.path.read_bytes() if self.path.exists() else b""
-        return hashlib.sha256(content).hexdigest()
+        """Return the SHA-256 of what was written, of nothing where nothing was."""
+        return self._hash.copy().hexdigest()
+
+    def _read(self) -> list[dict[str, str]]:
+        """Return the cells of every row that are not empty."""
+        if not self._last:
+            return []
+        with self.path.open(encoding="utf-8", newline="") as file:
+            return [{k: v for k, v in row.items() if v} for row in csv.DictReader(file)]
 
     def _restore(self, keep_to: int | None) -> None:
+        rows: list[dict[str, str]] = []
         advice = "put the table of this run back, or start a new run"
         with reading(self.path, csv.Error, advice=advice, error=RlcoError):
             text = self.path.read_bytes().decode("utf-8")
-            whole = text[: text.rfind("\n") + 1]  # a killed writer may cut its last row
+            # A killed writer may cut its last row; a power cut leaves zeros for rows.
+            text = text.partition("\0")[0]
+            whole = text[: text.rfind("\n") + 1]
             reader = csv.DictReader(io.StringIO(whole, newline=""), strict=True)
-            for row in reader:
-                if keep_to is not None and int(row["step"]) <= keep_to:
-                    self._rows.append({k: v for k, v in row.items() if v})
-            self.rows()  # whether all of them are numbers
+            last = -1 if keep_to is None else keep_to
+            kept = (row for row in reader if int(row["step"]) <= last)
+            rows += ({k: v for k, v in row.items() if v} for row in kept)
+            for row in rows:  # whether all of them are numbers
+                [float(cell) for cell in row.values()]
             self._columns = [
                 name
                 for name in reader.fieldnames or []
-                if any(name in row for row in self._rows)
+                if any(name in row for row in rows)
             ]
-        self._rewrite()
+        self._rewrite(rows)
+        self._last = rows[-1] if rows else {}
 
-    def _rewrite(self) -> None:
+    def _rewrite(self, rows: Sequence[dict[str, str]]) -> None:
+        header = [",".join(self._columns) + "\n"] if self._columns else []
+        lines = [*header, *(_line(row, self._columns) for row in rows)]
         part = self.path.with_name(f".{self.path.name}.part")
         with part.open("w", encoding="utf-8", newline="") as file:
-            if self._columns:
-                file.write(",".join(self._columns) + "\n")
-            file.writelines(_line(row, self._columns) for row in self._rows)
+            file.writelines(lines)
+            file.flush()
+            os.fsync(file.fileno())  # else a power cut after the renaming empties it
         part.replace(self.path)
+        self._hash = hashlib.sha256("".join(lines).encode())
 
 
 def read_metrics(path: Path) -> list[dict[str, float]]:

@@ -19,7 +19,7 @@ from typing import Any
 from rlco.errors import OutputExistsError, RlcoError
 from rlco.files import Fields, read_json, shown
 from rlco.runs.options import started_by_rlco
-from rlco.runs.whole_files import write_text
+from rlco.runs.whole_files import sync_folder, write_text
 
 #: The libraries whose versions decide what a run computes.
 LIBRARIES = (
@@ -64,6 +64,7 @@ def create(
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             if not os.path.lexists(path) and _put_whole(path, files):
+                sync_folder(path.parent)
                 return path
         except OSError as error:
             raise RlcoError(
@@ -124,6 +125,7 @@ def read_info(path: Path, recipe: str) -> Fields:
     )
     made_by = info.text("recipe")
     info.sequence("resumed")
+    info.integer("checkpoint", None, minimum=0)
     info.number("seconds")
     if made_by != recipe:
         raise RlcoError(

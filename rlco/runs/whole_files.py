@@ -27,11 +27,26 @@ def write_text(path: Path, text: str) -> None:
 def put_in_place(part: Path, path: Path) -> None:
     """Give a file that is on the disk its name, and wait until that is there, too."""
     part.replace(path)
-    folder = os.open(path.parent, os.O_RDONLY | os.O_DIRECTORY)
+    sync_folder(path.parent)
+
+
+def sync_folder(path: Path) -> None:
+    """Wait until the names in a folder are on the disk; its files' content is not."""
+    folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(folder)
     finally:
         os.close(folder)
+
+
+def sync_tree(path: Path) -> None:
+    """Wait until all that is in a folder is on the disk."""
+    for one in [*path.rglob("*"), path]:
+        if one.is_dir():
+            sync_folder(one)
+        elif one.is_file():
+            with one.open("rb") as file:
+                os.fsync(file.fileno())
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

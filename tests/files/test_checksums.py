@@ -55,6 +55,24 @@ def test_flipped_weights_of_a_policy_are_not_loaded(tmp_path: Path) -> None:
     load_policy(tmp_path)
 
 
+def test_a_changed_description_of_a_policy_is_not_loaded(tmp_path: Path) -> None:
+    save_policy(make_policy("gaussian", state_size=3, chunk=2, hidden=[4]), tmp_path)
+    file = tmp_path / "policy.json"
+    text = file.read_text()
+    for old, new in (
+        ('"chunk": 2', '"chunk": 3'),
+        ('"rlco"', '"rlcp"'),
+        ('"checksum": "', '"checksum": "0'),
+        ('"checksum"', '"chacksum"'),
+    ):
+        assert text.count(old) == 1
+        file.write_text(text.replace(old, new))
+        with pytest.raises(CheckpointError, match=r"policy\.json"):
+            load_policy(tmp_path)
+    file.write_text(text.replace("\n", "").replace(" ", ""))  # its layout is free
+    load_policy(tmp_path)
+
+
 def test_files_of_before_have_no_checksum_and_are_read(saved: Path) -> None:
     with safe_open(saved, framework="pt") as file:
         metadata = dict(file.metadata())

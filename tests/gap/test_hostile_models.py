@@ -8,6 +8,7 @@ import pytest
 
 from rlco.errors import RlcoError
 from rlco.gap import trial
+from rlco.gap.declared import check_text
 from rlco.gap.model import load_model
 
 BODY = "<body><joint name='j'/><geom size='1'/></body>"
@@ -21,15 +22,129 @@ COPIES = (
 )
 
 
-@pytest.mark.parametrize("xml", [FIELD, COPIES])
-def test_a_model_of_a_few_words_that_fills_a_memory(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, xml: str
-) -> None:
-    monkeypatch.setattr(trial, "SECONDS", 5.0)
+def test_a_model_of_a_few_words_that_fills_a_memory(tmp_path: Path) -> None:
     file = tmp_path / "model.xml"
-    file.write_text(xml)
-    with pytest.raises(RlcoError, match=r"takes more than 2.0 GB or 5 s to compile"):
+    file.write_text(FIELD)
+    with pytest.raises(RlcoError, match=r"takes more than 2.0 GB or 10 s to compile"):
         load_model(file)
+
+
+def test_a_model_that_compiles_for_hours(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One that says nothing of it in its text: its time is limited."""
+    monkeypatch.setattr(trial, "SECONDS", 1.0)
+    monkeypatch.setattr("rlco.gap.declared.MOST", 10**12)
+    file = tmp_path / "model.xml"
+    file.write_text(COPIES)
+    with pytest.raises(RlcoError, match=r"takes more than 2.0 GB or 1 s to compile"):
+        load_model(file)
+
+
+MANY = "<replicate count='101'><replicate count='0x64'>{}</replicate></replicate>"
+
+
+@pytest.mark.parametrize(
+    "inside",
+    [
+        "<replicate count='100000000'><geom size='1'/></replicate>",
+        "<replicate count='&#49;00000000'><geom size='1'/></replicate>",
+        "<body><replicate sep='>' count='20000x'><geom size='1'/></replicate></body>",
+        MANY.format("<geom size='1'/>"),
+        MANY.format("<!-- > --><include file='more.xml'/>"),
+        "<replicate count='200'><flexcomp count='10 10 1'/></replicate>"
+        "<replicate count='200'><composite count='10 10 1'><geom/></composite>"
+        "</replicate>",
+        "<replicate count='999999999999999999999999'><geom/></replicate>",
+    ],
+)
+def test_replicates_are_counted_before_anything_is_compiled(
+    tmp_path: Path, inside: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def compiled(*_: object) -> None:
+        raise AssertionError("it was tried")
+
+    monkeypatch.setattr("rlco.gap.model.try_model", compiled)
+    more = "<mujocoinclude><geom size='1'/><geom size='2'/></mujocoinclude>"
+    (tmp_path / "more.xml").write_text(more)
+    file = tmp_path / "model.xml"
+    file.write_text(f"<mujoco><worldbody>{inside}</worldbody></mujoco>")
+    with pytest.raises(RlcoError, match=r"makes \d+ elements of \d+ by replicate"):
+        load_model(file)
+
+
+def test_a_large_model_and_a_comment_replicate_nothing(tmp_path: Path) -> None:
+    geoms = "<geom size='1'/>" * 20_000
+    said = "<!-- <replicate count='100000000'><geom/></replicate> -->"
+    some = "<replicate count='9000'><geom/></replicate><replicate count='900'/>"
+    check_text(tmp_path / "a.xml", f"<mujoco>{said}{geoms}{some}</mujoco>")
+    with pytest.raises(RlcoError, match="makes 20003 elements"):
+        check_text(tmp_path / "a.xml", "<a><replicate count='20001'><b/></a>")
+
+
+# -- Files elsewhere ---------------------------------------------------------------
+
+
+def asset(name: str, compiler: str = "") -> str:
+    return f"<mujoco>{compiler}<asset>{name}</asset></mujoco>"
+
+
+LEAVING = [
+    "<mujoco><include file='../secret.xml'/></mujoco>",
+    "<mujoco><include file='/etc/passwd'/></mujoco>",
+    asset("<mesh file='../../a.stl'/>"),
+    asset("<mesh file='..&#47;..&#47;a.stl'/>"),
+    asset(r"<mesh file='..\\..\\a.stl'/>"),
+    asset("<mesh file='a.stl'/>", "<compiler meshdir='../meshes'/>"),
+    asset("<mesh file='a.stl'/>", "<compiler meshdir='/meshes'/>"),
+    asset("<mesh file='a.stl'/>", "<compiler assetdir='../meshes'/>"),
+    asset("<texture fileup='../a.png' type='cube'/>"),
+    asset("<texture file='a.png'/>", "<compiler texturedir='/pictures'/>"),
+    asset("<hfield file='/dev/zero'/>"),
+    asset("<model file='../other.xml'/>"),
+    asset("<skin file='linked/a.skn'/>"),
+    "<robot><mujoco><compiler strippath='false'/></mujoco><link><visual><geometry>"
+    "<mesh filename='../a.stl'/></geometry></visual></link></robot>",
+]
+
+
+@pytest.mark.parametrize("xml", LEAVING)
+def test_a_model_that_reads_files_elsewhere_is_refused(
+    tmp_path: Path, xml: str
+) -> None:
+    folder = tmp_path / "models" / "arm"
+    folder.mkdir(parents=True)
+    (folder / "linked").symlink_to(tmp_path)
+    file = folder / "arm.xml"
+    file.write_text(xml)
+    with pytest.raises(RlcoError, match=r"outside of .*; if you trust the model, give"):
+        load_model(file)
+
+
+@pytest.mark.parametrize(
+    "xml",
+    [
+        asset("<mesh file='a.stl'/>", "<compiler meshdir='parts/../meshes'/>"),
+        asset("<mesh file='../a.stl'/>", "<compiler meshdir='meshes'/>"),
+        asset("<!-- <mesh file='/a.stl'/> --><mesh file='a.stl'/>"),
+        # MuJoCo reads the last part of a URDF's paths alone.
+        "<robot><link><mesh filename='package://arm/../../a.stl'/></link></robot>",
+        asset(f"<mesh file='{Path(pytest.__file__).parent}/a.stl'/>"),  # installed
+    ],
+)
+def test_what_stays_in_its_folder_is_read(tmp_path: Path, xml: str) -> None:
+    check_text(tmp_path / "arm.xml", xml)
+
+
+def test_a_trusted_models_files_may_be_elsewhere(tmp_path: Path) -> None:
+    xml = asset("<mesh file='a.stl'/>", "<compiler meshdir='../meshes'/>")
+    file = tmp_path / "arm" / "urdf" / "arm.xml"
+    file.parent.mkdir(parents=True)
+    with pytest.raises(RlcoError, match=rf"give model_root={tmp_path}/arm, a folder"):
+        check_text(file, xml)
+    check_text(file, xml, tmp_path / "arm")
+    (tmp_path / "arm" / "package.xml").write_text("<package/>")  # a ROS package
+    check_text(file, xml)
 
 
 def test_a_model_that_is_tried_first_loads_as_any(tmp_path: Path) -> None:
@@ -51,4 +166,15 @@ def test_a_model_that_is_no_text(tmp_path: Path) -> None:
     file = tmp_path / "model.xml"
     file.write_bytes(b"<mujoco>\xff\xfe</mujoco>")
     with pytest.raises(RlcoError, match="give an MJCF or URDF file"):
+        load_model(file)
+
+
+def test_a_trial_that_is_killed_is_one_sentence(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the system does where all memory is taken."""
+    monkeypatch.setattr(trial, "_CODE", "import os; os.kill(os.getpid(), 9)")
+    file = tmp_path / "model.xml"
+    file.write_text(COPIES.replace("100000000", "3"))
+    with pytest.raises(RlcoError, match=r"takes more than 2\.0 GB"):
         load_model(file)

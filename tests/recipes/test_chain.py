@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import signal
@@ -12,13 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import torch
 from recipe_cases import RECIPES, RL_CO, Assets, refused, start
+from torch.optim.optimizer import register_optimizer_step_pre_hook
 
 import rlco.evaluation
 from rlco.evaluation import EVALUATION_SEED, final_states_seed
 from rlco.policies import load_policy
 from rlco.run import Run
 from rlco.runs.metrics import read_metrics
+from rlco.runs.state_files import rng_state
 
 pytestmark = pytest.mark.slow
 
@@ -49,6 +53,25 @@ class KilledError(Exception):
     """Stands for whatever ends a process between a row and its checkpoint."""
 
 
+def seen(optimizer: torch.optim.Optimizer) -> str:
+    """Return the digest of weights, gradients, moments, rates and random numbers.
+
+    The gradients are of the batch just drawn: equal ones show an equal batch.
+    """
+    state = rng_state()
+    digest = hashlib.sha256(
+        repr((state["python"], state["numpy"], state["torch"].tolist())).encode()
+    )
+    for group in optimizer.param_groups:
+        rates = {k: v for k, v in group.items() if k != "params"}
+        digest.update(repr(sorted(rates.items())).encode())
+        for weights in group["params"]:
+            moments = optimizer.state.get(weights, {})
+            for one in (weights.detach(), weights.grad, *moments.values()):
+                digest.update(repr(None if one is None else one.tolist()).encode())
+    return digest.hexdigest()
+
+
 @STAGES
 def test_a_run_that_was_cut_off_and_resumed_equals_one_that_was_not(
     assets: Assets,
@@ -56,22 +79,38 @@ def test_a_run_that_was_cut_off_and_resumed_equals_one_that_was_not(
     tmp_path: Path,
     stage: str,
     monkeypatch: pytest.MonkeyPatch,
+    request: pytest.FixtureRequest,
 ) -> None:
     folder = tmp_path / "cut"
     save = Run.save_checkpoint
+    # Before each step of an optimiser, all that decides what it does.
+    steps: list[str] = []
 
     def save_once(run: Run, step: int, state: Any, **options: Any) -> Path:
         if step == 2:  # its row of metrics.csv is written, its checkpoint is not
             raise KilledError
+        steps.clear()
         return save(run, step, state, **options)
 
+    hook = register_optimizer_step_pre_hook(lambda *given: steps.append(seen(given[0])))
+    request.addfinalizer(hook.remove)
     with monkeypatch.context() as patch:
         patch.setattr(Run, "save_checkpoint", save_once)
         with pytest.raises(KilledError):
             start(stage, *inputs[stage], f"out={folder}")
     assert not (folder / "policy").exists()
+    continued = list(steps)  # iteration 2 of the very run that was cut off
+    assert continued
 
-    start(stage, f"resume={folder}")
+    def compare(run: Run, step: int, state: Any, **options: Any) -> Path:
+        if step == 2:
+            assert steps == continued
+        return save(run, step, state, **options)
+
+    steps.clear()
+    with monkeypatch.context() as patch:
+        patch.setattr(Run, "save_checkpoint", compare)
+        start(stage, f"resume={folder}")
     whole = getattr(assets, stage)
     for name in ("metrics.csv", "policy/policy.safetensors"):
         assert (folder / name).read_bytes() == (whole / name).read_bytes(), name

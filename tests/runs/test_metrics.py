@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import tracemalloc
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -77,3 +79,38 @@ def test_without_a_checkpoint_no_row_is_kept(tmp_path: Path) -> None:
     MetricsFile(path).append(1, {"a": 1})
     assert MetricsFile(path, keep_to=None).last_step is None
     assert path.read_bytes() == b""
+
+
+def test_a_long_table_stays_in_its_file_alone(tmp_path: Path) -> None:
+    """A run of hours has tens of thousands of rows, each of kilobytes in memory."""
+    file = MetricsFile(tmp_path / "m.csv")
+    row = {f"loss_{name}": 0.1 for name in range(20)}
+    file.append(1, row)
+    tracemalloc.start()
+    try:
+        before, _ = tracemalloc.get_traced_memory()
+        for step in range(2, 1002):
+            file.append(step, row)
+        grown = tracemalloc.get_traced_memory()[0] - before
+    finally:
+        tracemalloc.stop()
+    assert grown < 100_000
+    assert [found["step"] for found in file.rows()] == list(range(1, 1002))
+
+
+def test_the_digest_is_that_of_the_file(tmp_path: Path) -> None:
+    path = tmp_path / "m.csv"
+
+    def digest() -> str:
+        content = path.read_bytes() if path.exists() else b""
+        return hashlib.sha256(content).hexdigest()
+
+    file = MetricsFile(path)
+    assert file.digest() == digest()
+    for step, row in enumerate(({"a": 1}, {"a": 2}, {"a": 3, "b": 4}, {"b": 5}), 1):
+        file.append(step, row)
+        assert file.digest() == digest()
+    again = MetricsFile(path, keep_to=3)
+    assert again.digest() == digest()
+    again.append(4, {"b": 5})
+    assert again.digest() == file.digest()

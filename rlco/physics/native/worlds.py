@@ -6,7 +6,7 @@ import copy
 import itertools
 import os
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
 
 import mujoco
@@ -124,8 +124,12 @@ class Worlds:
             self._pool.submit(kernel, first, last, *arguments)
             for first, last in itertools.pairwise(edges)
         ]
-        for job in jobs:
-            job.result()
+        try:
+            for job in jobs:
+                job.result()
+        except BaseException:
+            wait(jobs)  # what raised is heard when no world is stepped any more
+            raise
 
     def forget(self, which: Integers) -> None:
         """Drop pending commands and divergences of the worlds `which`."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib.metadata
-import json
 import os
 from pathlib import Path
 from typing import Any
@@ -15,13 +14,13 @@ from torch import nn
 
 from rlco.errors import CheckpointError, RlcoError
 from rlco.files import read_json, reading
-from rlco.files.checksums import verify
+from rlco.files.checksums import KEY, content_checksum, verify
 from rlco.finite import check_loaded, check_saved
 from rlco.policies.small.chunk_policy import ChunkPolicy
 from rlco.policies.small.observation_check import check_observations
 from rlco.policies.small.registry import make_policy
 from rlco.runs.state_files import save_tensors
-from rlco.runs.whole_files import write_text
+from rlco.runs.whole_files import write_json
 
 WEIGHTS = "policy.safetensors"
 DESCRIPTION = "policy.json"
@@ -65,13 +64,13 @@ def save_policy(
         "rlco": importlib.metadata.version("rlco"),
         "extra": extra or {},
     }
-    text = json.dumps(description, indent=2) + "\n"
+    description[KEY] = content_checksum(description)
     weights = {
         name: tensor.detach().cpu().contiguous()
         for name, tensor in policy.state_dict().items()
     }
     save_tensors(path / WEIGHTS, weights, {})
-    write_text(path / DESCRIPTION, text)
+    write_json(path / DESCRIPTION, description)
 
 
 def load_policy(
@@ -156,10 +155,17 @@ def _read_description(path: Path) -> dict[str, Any]:
         f"{_nearby(path.parent)}",
         error=CheckpointError,
     )
-    if not set(_FIELDS) <= set(fields.content):
+    found = set(fields.content)
+    if not set(_FIELDS) <= found <= {*_FIELDS, KEY}:
         raise CheckpointError(
             f"{str(path)!r} is not a description of a policy; it must hold "
-            f"{', '.join(_FIELDS)}."
+            f"{', '.join(_FIELDS)}, and nothing else but a {KEY}."
+        )
+    # Those from before have none.
+    if fields.text(KEY, None) not in (None, content_checksum(fields.content)):
+        raise CheckpointError(
+            f"{str(path)!r} does not match its checksum, so something changed it after "
+            f"it was written; copy it again, or take its {KEY!r} out if you changed it."
         )
     return {
         "kind": fields.text("kind"),

@@ -14,6 +14,7 @@ from typing import Any
 
 import apsw
 import numpy as np
+from backports import zstd
 from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import Reader, ReaderError
 from rosbags.serde import SerdeError
@@ -28,6 +29,7 @@ from rosbags.typesys.store import Typestore
 
 from rlco.errors import DataError
 from rlco.files import reading
+from rlco.gap.logs.formats import bag_sizes
 from rlco.gap.logs.formats.headers import WORDS
 from rlco.gap.logs.formats.topics import parse_topic
 from rlco.gap.logs.log import Array
@@ -47,7 +49,7 @@ _SENT = ("output", "reference", "desired")
 # Stamps and receipts further apart are of two clocks [s].
 _OTHER_CLOCK = 1.0
 # What rosbags and the readers below it raise that is no built-in exception.
-_OWN = (ReaderError, SerdeError, TypesysError, apsw.Error)
+_OWN = (ReaderError, SerdeError, TypesysError, apsw.Error, zstd.ZstdError)
 
 
 #: A list in a message: its field, whose each number is, the numbers.
@@ -134,12 +136,30 @@ def _topics(path: Path) -> dict[str, _Topic]:
     """
     advice = "give a whole bag, 'ros2 bag reindex' may mend one that was cut off"
     what = "rosbag2 of MCAP or SQLite"
+    bag_sizes.bound_chunks()
+    if path.is_dir():
+        with reading(path, *_OWN, what=what, advice=advice):
+            bag_sizes.check_files(path)
     with reading(path, *_OWN, what=what, advice=advice), Reader(path) as bag:
+        # Of messages that are compressed rosbags does not ask how large they are.
+        compressed = bag.compression_mode == "message"
+        if compressed:
+            metadata = bag.storage.metadata
+            bag.storage.metadata = metadata._replace(compression_mode=None)
         wanted = [c for c in bag.connections if c.msgtype in _READERS]
         listed = [f"{c.topic} ({c.msgtype})" for c in bag.connections]
         store, known = _typestore(wanted)
         found: dict[str, _Topic] = {}
+        held, most = 0, bag_sizes.most_of(path)
         for connection, receipt, data in bag.messages(known) if known else ():
+            if compressed:
+                data = bag_sizes.message(data)
+            held += len(data)
+            if held > most:
+                raise DataError(
+                    f"{str(path)!r} holds more than {most / 1e6:.0f} MB of messages, "
+                    f"{bag_sizes.RATIO} times its size; give one that is what it says."
+                )
             topic = found.setdefault(connection.topic, _Topic(connection.msgtype))
             _add(path, connection.topic, topic, store, receipt, data)
     if not any(topic.kind == _STATES for topic in found.values()):

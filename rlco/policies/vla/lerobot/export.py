@@ -20,6 +20,7 @@ from rlco.finite import check_loaded, check_saved, named_tensors
 from rlco.policies.vla.lerobot.checkpoint import LeRobotCheckpoint
 from rlco.policies.vla.lora import has_lora, merged_state, without_lora
 from rlco.runs.state_files import load_state, save_state
+from rlco.runs.whole_files import sync_folder, sync_tree
 
 #: Beside ``pretrained_model``: what LeRobot has no place for.
 BESIDE = "rlco_state"
@@ -95,7 +96,9 @@ def save_lerobot(
     (partial / BESIDE).mkdir()
     for name, value in (beside or {}).items():
         save_state(partial / BESIDE / f"{name}.safetensors", value)
+    sync_tree(partial)
     partial.rename(target)
+    sync_folder(target.parent)
     update_last_checkpoint(target)
     return target / "pretrained_model"
 

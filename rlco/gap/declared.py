@@ -1,0 +1,162 @@
+"""What a model's text says before it is compiled: how much it makes, what it reads.
+
+Both are found by reading tags, as leniently as MuJoCo does. What a text hides from this
+is still compiled within limits, see `rlco.gap.trial`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import sysconfig
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from html import unescape
+from math import prod
+from pathlib import Path, PurePosixPath
+
+from rlco.errors import RlcoError
+
+#: Elements that replicates and the like may add to a model. MuJoCo's time grows with
+#: their square, and is five seconds with 4000 bodies.
+MOST = 10_000
+_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+_TAG = re.compile(r"<(/?)([^\s/>!?<]+)((?:[^>\"']|\"[^\"]*\"|'[^']*')*+)>")
+_ATTRIBUTE = re.compile(r"([^\s=/\"']+)\s*=\s*(\"[^\"]*\"|'[^']*')")
+_NUMBER = re.compile(r"0[xX][0-9a-fA-F]{1,12}|\d{1,12}")
+_COUNTED = ("replicate", "flexcomp", "composite")
+_SIDES = ("right", "left", "up", "down", "front", "back")
+_FILES = ("file", "filename", *(f"file{side}" for side in _SIDES))
+#: Levels above a model at which the ROS package is looked for that holds its meshes.
+_PACKAGE = 3
+#: Files that a model includes; what more of them say is left to MuJoCo.
+_MANY = 200
+
+
+@dataclass
+class _Text:
+    """What the files of a model say together.
+
+    Attributes:
+        folder: Of the model's own file.
+        elements: In the text.
+        made: With all that is replicated.
+        files: What is read, by the element that reads it.
+        folders: Values of ``meshdir``, ``texturedir`` and ``assetdir``.
+        stripped: Whether only the names of mesh files count, not their folders.
+        seen: Files that were included.
+    """
+
+    folder: Path
+    elements: int = 0
+    made: int = 0
+    files: list[tuple[str, str]] = field(default_factory=list)
+    folders: dict[str, list[str]] = field(default_factory=dict)
+    stripped: bool = False
+    seen: set[Path] = field(default_factory=set)
+
+    def read(self, source: str, times: int) -> None:
+        """Take in the text of a file that is there so many times."""
+        above = [times]
+        for closes, name, given, empty in _tags(source):
+            if closes:
+                del above[max(1, len(above) - 1) :]
+                continue
+            self.elements += 1
+            self.made += above[-1]
+            inner = above[-1] * (_times(given) if name in _COUNTED else 1)
+            self._notice(name, given, inner)
+            if not empty:
+                above.append(inner)
+
+    def _notice(self, name: str, given: dict[str, str], times: int) -> None:
+        if name == "robot":  # URDF: by MuJoCo's default only names count
+            self.stripped = True
+        if name == "compiler":
+            if "strippath" in given:
+                self.stripped = given["strippath"] == "true"
+            for key in ("meshdir", "texturedir", "assetdir"):
+                if key in given:
+                    self.folders.setdefault(key, []).append(given[key])
+        self.files += [(name, given[key]) for key in _FILES if key in given]
+        if name == "include" and "file" in given:
+            path = self.folder / given["file"]
+            if path not in self.seen and path.is_file() and len(self.seen) < _MANY:
+                self.seen.add(path)
+                self.read(path.read_text("utf-8", "replace"), times)
+
+    def paths(self) -> Iterator[Path]:
+        """Yield all files that may be read."""
+        assets = self.folders.get("assetdir", [])
+        for element, name in self.files:
+            bases = ["."]
+            if element not in ("include", "model"):
+                kind = "texturedir" if element == "texture" else "meshdir"
+                bases = self.folders.get(kind) or assets or bases
+                if self.stripped:
+                    name = PurePosixPath(name).name
+            for base in bases:
+                yield self.folder / base / name
+
+
+def check_text(path: Path, source: str, root: Path | None = None) -> None:
+    """Check how much a model makes of few words, and that it reads no foreign file.
+
+    Args:
+        path: Its file.
+        source: The text in it.
+        root: The folder in which all that it reads lies; None: its own, or that of the
+            ROS package that it is in. What comes with installed packages may be read,
+            too.
+
+    Raises:
+        RlcoError: It replicates without measure, or reads a file elsewhere.
+    """
+    text = _Text(path.parent)
+    text.read(source, 1)
+    if text.made - text.elements > MOST:
+        raise RlcoError(
+            f"model {str(path)!r} makes {text.made} elements of {text.elements} by "
+            f"replicate, composite or flexcomp, and at most {MOST} more are compiled; "
+            "give smaller counts."
+        )
+    home = (root or _package(path.parent)).resolve()
+    installed = Path(sysconfig.get_paths()["purelib"]).resolve()
+    for file in text.paths():
+        target = file.resolve()
+        if target.is_relative_to(home) or target.is_relative_to(installed):
+            continue
+        common = os.path.commonpath([home, target.parent])
+        raise RlcoError(
+            f"model {str(path)!r} reads {str(target)!r}, outside of {str(home)!r}; if "
+            f"you trust the model, give model_root={common}, a folder that holds both."
+        )
+
+
+def _package(folder: Path) -> Path:
+    """Return the ROS package that a folder is in, else the folder."""
+    here = folder.absolute()
+    for above in [here, *here.parents][: _PACKAGE + 1]:
+        if (above / "package.xml").is_file():
+            return above
+    return folder
+
+
+def _tags(source: str) -> Iterator[tuple[bool, str, dict[str, str], bool]]:
+    """Yield each tag: whether it closes, name, attributes, whether nothing is in it."""
+    for closes, name, rest in _TAG.findall(_COMMENT.sub("", source)):
+        given = {
+            key: unescape(value[1:-1]).replace("\\", "/")
+            for key, value in _ATTRIBUTE.findall(rest)
+        }
+        yield bool(closes), name, given, rest.rstrip().endswith("/")
+
+
+def _whole(number: str) -> int:
+    return int(number, 16 if number[1:2] in ("x", "X") else 10)
+
+
+def _times(given: dict[str, str]) -> int:
+    """Return how often what is in an element is made."""
+    counts = [_whole(number) for number in _NUMBER.findall(given.get("count", ""))]
+    return max(1, prod(counts))
