@@ -81,6 +81,9 @@ class Config:
         0.03, "how far off any number of the model may be", minimum=0, maximum=0.5
     )
     threads: int = option(2, "simulations at a time", minimum=1)
+    film: bool = option(
+        True, "whether the report has a film of the robot, measured and simulated"
+    )
 
 
 def main(config: Config) -> None:
@@ -106,6 +109,7 @@ def main(config: Config) -> None:
                 calibrate=config.calibrate,
                 effects_code=config.effects_code or config.effects,
                 threads=config.threads,
+                film=config.film,
                 progress=progress,
             )
         for line in finding.summary():

@@ -160,6 +160,13 @@ def _spec(loaded: LoadedModel) -> mujoco.MjSpec:
     return spec
 
 
+def whole_spec(loaded: LoadedModel) -> mujoco.MjSpec:
+    """Return the user's whole model, with the names that effects and logs use."""
+    spec = _spec(loaded)
+    _name_all_like(spec, loaded.spec)
+    return spec
+
+
 def _name_all_like(spec: mujoco.MjSpec, slim: mujoco.MjSpec) -> None:
     """Give unnamed joints, bodies and actuators the names that effects use."""
     for ours, theirs in (
