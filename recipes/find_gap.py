@@ -86,6 +86,9 @@ class Config:
         "own, or that of the ROS package around it",
     )
     threads: int = option(2, "simulations at a time", minimum=1)
+    film: bool = option(
+        True, "whether the report has a film of the robot, measured and simulated"
+    )
 
 
 def main(config: Config) -> None:
@@ -112,6 +115,7 @@ def main(config: Config) -> None:
                 effects_code=config.effects_code or config.effects,
                 model_root=config.model_root,
                 threads=config.threads,
+                film=config.film,
                 progress=progress,
             )
         for line in finding.summary():

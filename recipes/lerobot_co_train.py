@@ -144,6 +144,11 @@ class Config(RunOptions):
         "domain to train in: a name, MODULE:NAME, or the path of an effects.yaml",
         input="file",
     )
+    train_sample: Literal["none", "posterior"] = option(
+        "none",
+        "posterior: each training episode draws one of the parameter sets in "
+        "train_domain's file",
+    )
     effects_code: str | None = option(
         None, "Python file that registers effects of your own", input="file"
     )
@@ -344,7 +349,10 @@ def main(config: Config) -> None:
     load_code(config.effects_code)
     evaluated = config.eval_domains if config.eval_episodes else []
     domains = evaluation_domains(
-        config.task, evaluated, train_domain=config.train_domain
+        config.task,
+        evaluated,
+        train_domain=config.train_domain,
+        train_sample=config.train_sample,
     )
     checkpoint, policy, real = load(config)
     with Run(config, "lerobot_co_train") as run:

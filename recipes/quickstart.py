@@ -95,6 +95,11 @@ class Config(PolicyOptions):
         "MODULE:NAME, or the path of an effects.yaml",
         input="file",
     )
+    train_sample: Literal["none", "posterior"] = option(
+        "none",
+        "posterior: each episode of Stage II draws one of the parameter sets in "
+        "train_domain's file",
+    )
     effects_code: str | None = option(
         None, "Python file that registers effects of your own", input="file"
     )
@@ -142,6 +147,7 @@ def stage_two(
         eval_episodes=config.curve_episodes,
         eval_domains=config.eval_domains,
         train_domain=config.train_domain,
+        train_sample=config.train_sample,
         effects_code=config.effects_code,
         **group_values(config, AugmentOptions),
     )
@@ -164,7 +170,10 @@ def check(config: Config) -> tuple[dict[str, Domain], dict[str, Domain]]:
     load_code(config.effects_code)
     train_domain = config.train_domain
     domains = evaluation_domains(
-        config.task, config.eval_domains, train_domain=train_domain
+        config.task,
+        config.eval_domains,
+        train_domain=train_domain,
+        train_sample=config.train_sample,
     )
     further = evaluation_domains(config.task, config.final_domains)
     nowhere = {"sim": "", "real": "", "heldout": ""}

@@ -35,7 +35,11 @@ def main(config: Config) -> None:
 
     # What is wrong shows before a folder is made.
     load_code(config.effects_code)
-    given = {"task": config.task, "train_domain": config.train_domain}
+    given = {
+        "task": config.task,
+        "train_domain": config.train_domain,
+        "train_sample": config.train_sample,
+    }
     curves = config.eval_domains if config.eval_episodes else []
     last = [*config.eval_domains, *config.final_domains] if config.final else []
     domains = evaluation_domains(evaluated=curves, **given)

@@ -19,7 +19,13 @@ from rlco import keys
 from rlco.envs import check_action_units, make_env
 from rlco.envs.chunk_env import ChunkEnv
 from rlco.errors import ConfigError
-from rlco.physics.spec.domain import FINAL_DOMAINS, Domain, GivenDomain, make_domain
+from rlco.physics.spec.domain import (
+    FINAL_DOMAINS,
+    Domain,
+    GivenDomain,
+    drawing,
+    make_domain,
+)
 from rlco.physics.tasks.named_task import check_domains
 from rlco.reporting.statistics import ResultRow, wilson_interval
 from rlco.reporting.video import write_video
@@ -244,7 +250,11 @@ def success_rates(
 
 
 def evaluation_domains(
-    task: str, evaluated: Iterable[str], *, train_domain: str | None = None
+    task: str,
+    evaluated: Iterable[str],
+    *,
+    train_domain: str | None = None,
+    train_sample: str = "none",
 ) -> dict[str, Domain]:
     """Return the domains to evaluate in by their names, all checked for the task.
 
@@ -252,6 +262,7 @@ def evaluation_domains(
         task: The task's name.
         evaluated: Names, or paths of effects.yaml files.
         train_domain: The same, of where training takes place, if it does.
+        train_sample: ``posterior`` where its episodes draw parameter sets.
 
     Raises:
         ConfigError: A file's name cannot name a column of metrics.csv, or training
@@ -267,6 +278,8 @@ def evaluation_domains(
                 "stand_in, or a domain of your own"
             ]
         )
+    if train_domain is not None and train_sample == "posterior":
+        drawing(make_domain(train_domain), "posterior")
     check_domains(task, [*given, *([] if train_domain is None else [train_domain])])
     domains = {domain.name: domain for domain in map(make_domain, given)}
     problems = [

@@ -19,6 +19,7 @@ class CollectorOptions(Protocol):
     Attributes:
         task: The task's name.
         train_domain: Where to play: a domain's name, or the path of an effects.yaml.
+        train_sample: ``posterior``: each episode draws a parameter set of that file.
         num_envs: Episodes of a rollout.
         reward: ``shaped`` or ``sparse``.
         horizon: Control steps of an episode; None: the task's own for training.
@@ -31,6 +32,7 @@ class CollectorOptions(Protocol):
 
     task: str
     train_domain: str
+    train_sample: Literal["none", "posterior"]
     num_envs: int
     reward: Literal["shaped", "sparse"]
     horizon: int | None
@@ -67,6 +69,7 @@ def make_collector(
     env = make_env(
         options.task,
         domain=options.train_domain,
+        sample=None if options.train_sample == "none" else options.train_sample,
         backend=backend,
         num_envs=options.num_envs,
         chunk=chunk,

@@ -78,6 +78,8 @@ class ChunkEnv(EnvBase):
 
     Attributes:
         divergences: How many simulations have diverged since construction.
+        parameter_sets: Number of the domain's parameter sets, of which each episode
+            draws one; 0 where it draws none.
     """
 
     task: TaskInfo
@@ -100,6 +102,7 @@ class ChunkEnv(EnvBase):
         self.chunk = chunk
         self.horizon = horizon or task.horizon
         self.divergences = 0
+        self.parameter_sets = 0
         self._on_divergence = on_divergence
         self._seed = seed
         self._group_size = 1
@@ -165,6 +168,27 @@ class ChunkEnv(EnvBase):
     def states_seed(self) -> int:
         """The seed that, with an episode's number, draws its initial state."""
         return self._seed
+
+    def parameter_set(self, index: int) -> int:
+        """Return which parameter set the index-th episode of this seed draws.
+
+        Raises:
+            RlcoError: If episodes draw none.
+        """
+        if not self.parameter_sets:
+            raise RlcoError(
+                "episodes draw no parameter sets here; give make_env "
+                "sample='posterior' and a domain with a sample."
+            )
+        # A stream of its own, so that drawing never shifts the initial states.
+        rng = np.random.default_rng([self._seed, index, 2])
+        return int(rng.integers(self.parameter_sets))
+
+    def _drawn_sets(self, episodes: list[int]) -> list[int] | None:
+        """Return the parameter sets of episodes; None where they draw none."""
+        if not self.parameter_sets:
+            return None
+        return [self.parameter_set(index) for index in episodes]
 
     def start_at(self, episode: int) -> None:
         """Let the next reset of every environment start its `episode`-th episode."""

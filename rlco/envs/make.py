@@ -19,7 +19,13 @@ from rlco.physics.rendering.camera import Quality
 from rlco.physics.rendering.renderers import check_renderer
 from rlco.physics.robosuite.options import PREFIX
 from rlco.physics.robosuite.stepper import RobosuiteStepper
-from rlco.physics.spec.domain import GivenDomain, make_domain, with_effects
+from rlco.physics.spec.domain import (
+    GivenDomain,
+    SampleKind,
+    drawing,
+    make_domain,
+    with_effects,
+)
 from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.stepper import Stepper
 from rlco.physics.spec.task import Task
@@ -45,6 +51,7 @@ def make_env(
     variation: str | None = None,
     effects: Given = None,
     effects_code: str | Path | None = None,
+    sample: SampleKind = None,
     seed: int = 0,
     threads: int | None = None,
     exact: bool = False,
@@ -74,7 +81,10 @@ def make_env(
             `rlco.physics.effects.AppliedEffect`, or the path of an ``effects.yaml``.
             The robot's controller does not know of them.
         effects_code: Python file that registers effects of your own.
-        seed: Draws initial states and sensor noise.
+        sample: ``posterior``: each episode draws one of the parameter sets that the
+            domain's file holds beside its effects, and keeps it to its end. None: all
+            episodes have the effects' own numbers.
+        seed: Draws initial states, sensor noise and parameter sets.
         threads: Threads of the native backend; by default one a core.
         exact: Let the native backend compute with robosuite's own linear algebra,
             about a third slower.
@@ -85,8 +95,8 @@ def make_env(
 
     Raises:
         UnknownNameError: If a name is unknown.
-        RlcoError: If a number is out of range, options do not go together, or an
-            effect cannot be applied.
+        RlcoError: If a number is out of range, options do not go together, an effect
+            cannot be applied, or the domain has nothing to draw from.
         DataError: If the domain's or the effects' file cannot be read.
         RenderingError: If images are asked for and nothing can render.
 
@@ -126,7 +136,7 @@ def make_env(
         )
     check_native(backend, threads=threads, exact=exact)
     load_code(effects_code)
-    domain = with_effects(make_domain(domain), effects)
+    domain = with_effects(drawing(make_domain(domain), sample), effects)
     if isinstance(task, str) and task.startswith(PREFIX):
         _refuse_for_robosuite(task, image_size, variation)
         check_robosuite_domain(task, domain)
@@ -143,6 +153,7 @@ def make_env(
             on_divergence=on_divergence,
             options=robosuite_options or {},
             effects=EffectsFile(domain.effects) if domain.effects else None,
+            sample=domain.model_sample,
         )
     if robosuite_options:
         raise RlcoError(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,6 +22,7 @@ from rlco.physics.robosuite.tasks import (
     make_plain,
 )
 from rlco.physics.spec.control import Array
+from rlco.physics.spec.sample import Sample
 from rlco.physics.spec.stepper import BatchStep
 
 # Options that `make_env` has by another name, or of another kind.
@@ -42,7 +43,12 @@ class Batch(Protocol):
     def success(self) -> NDArray[np.bool_]:
         """Robosuite's check of the present state, shape (N,)."""
 
-    def reset(self, seeds: list[int], which: NDArray[np.int64]) -> dict[str, Array]:
+    def reset(
+        self,
+        seeds: list[int],
+        which: NDArray[np.int64],
+        drawn: Sequence[int] | None = None,
+    ) -> dict[str, Array]:
         """Start episodes in the worlds `which`; return all observations."""
 
     def step(self, actions: Array, steps: NDArray[np.int64]) -> BatchStep:
@@ -68,6 +74,7 @@ class RobosuiteEnv(ChunkEnv):
         horizon: Episode length in control steps; the task's own by default.
         seed: Draws initial states.
         on_divergence: ``reset`` or ``raise``.
+        sets: Number of parameter sets, of which each episode draws one; 0: none.
     """
 
     task: RobosuiteTask
@@ -82,6 +89,7 @@ class RobosuiteEnv(ChunkEnv):
         horizon: int | None,
         seed: int,
         on_divergence: OnDivergence = "reset",
+        sets: int = 0,
     ) -> None:
         super().__init__(
             task,
@@ -93,6 +101,7 @@ class RobosuiteEnv(ChunkEnv):
             on_divergence=on_divergence,
         )
         self.backend = backend
+        self.parameter_sets = sets
         self._start(np.arange(num_envs), list(range(num_envs)))
         observed = self._seen()
         self._observe_as(
@@ -104,7 +113,8 @@ class RobosuiteEnv(ChunkEnv):
         return int(np.random.SeedSequence([self._seed, index]).generate_state(1)[0])
 
     def _start(self, which: NDArray[np.int64], episodes: list[int]) -> None:
-        self.backend.reset([self.episode_seed(index) for index in episodes], which)
+        seeds = [self.episode_seed(index) for index in episodes]
+        self.backend.reset(seeds, which, self._drawn_sets(episodes))
 
     def _advance(
         self, actions: Array, steps: NDArray[np.int64]
@@ -138,6 +148,7 @@ def make_robosuite_env(
     on_divergence: OnDivergence,
     options: Mapping[str, Any],
     effects: EffectsFile | None = None,
+    sample: Sample | None = None,
 ) -> RobosuiteEnv:
     """Return a robosuite task as a TorchRL environment; see `rlco.envs.make_env`.
 
@@ -154,7 +165,9 @@ def make_robosuite_env(
 
     def make() -> Any:
         shaped = reward == "shaped"
-        return make_plain(name, effects=effects, reward_shaping=shaped, **options)
+        return make_plain(
+            name, effects=effects, sample=sample, reward_shaping=shaped, **options
+        )
 
     wanted = [*STATE, ENVIRONMENT_STATE]
     first = make()
@@ -185,4 +198,5 @@ def make_robosuite_env(
         horizon=horizon,
         seed=seed,
         on_divergence=on_divergence,
+        sets=0 if sample is None else len(sample),
     )

@@ -21,7 +21,8 @@ class TabletopEnv(ChunkEnv):
 
     Args:
         task: The task.
-        domain: What differs from the simulator as built.
+        domain: What differs from the simulator as built; each episode draws one of its
+            parameter sets, where it has any.
         stepper: The backend's worlds, which mark those that diverge.
         num_envs: N, the batch size.
         chunk: H, control steps a decision.
@@ -64,6 +65,7 @@ class TabletopEnv(ChunkEnv):
             on_divergence=on_divergence,
         )
         self.domain = domain
+        self.parameter_sets = 0 if domain.sample is None else len(domain.sample)
         self.stepper = stepper
         self._reward_kind = reward
         self._variation = variation
@@ -93,7 +95,7 @@ class TabletopEnv(ChunkEnv):
             # Its own stream, so that noise never shifts the initial states.
             rng = np.random.default_rng([self._seed, index, 1])
             self._noise[env] = rng.standard_normal(self._noise.shape[1:])
-        self._state = self.stepper.reset(starts, which)
+        self._state = self.stepper.reset(starts, which, self._drawn_sets(episodes))
         self._instruction_id[:] = self._state.instruction_id
         self._render(which)
 

@@ -30,6 +30,7 @@ from rlco.gap.compare.torque.held_commands import effort_jumps, warning
 from rlco.gap.compare.torque.torque_log import TorqueLog
 from rlco.gap.correct.corrected_files import write_corrected
 from rlco.gap.correct.servo_files import SERVO_FILES, write_servo
+from rlco.gap.diagnose.filmed import Filmed, filmed
 from rlco.gap.diagnose.record_next import Motion, recommend
 from rlco.gap.diagnose.regimes import Labels, label_regimes
 from rlco.gap.diagnose.traces import FigureData, figure_data
@@ -67,13 +68,10 @@ FILES = {
     "model.diff": "the changes to the model",
     "effects.yaml": "all effects, as a domain for make_env(domain=) and training",
 }
-NOTHING_ELSE = (
-    "; there is no model.xml, model.diff or effects.yaml: nothing is searched in a "
-    "simulation that diverges"
-)
+_NONE = "; there is no model.xml, model.diff or effects.yaml: "
+NOTHING_ELSE = f"{_NONE}nothing is searched in a simulation that diverges"
 NO_CORRECTION = (
-    "; there is no model.xml, model.diff or effects.yaml: what was measured names "
-    "nothing that a model should be corrected by"
+    f"{_NONE}what was measured names nothing that a model should be corrected by"
 )
 
 
@@ -93,8 +91,9 @@ class Finding:
         complete: False where it was interrupted: this is the best so far.
         comparisons: All comparisons and their results, that of `verdict` first.
         compared: The same in sentences, with what was left out and why.
-        calibration: What a calibration fitted before the search; None without one.
-        before: What is known from recordings made before; None without any.
+        calibration: What a calibration fitted before the search, if any.
+        before: What is known from recordings made before, if any.
+        filmed: What a film shows, or why there is none; None where none was wanted.
     """
 
     verdict: Verdict
@@ -110,6 +109,7 @@ class Finding:
     compared: tuple[str, ...] = ()
     calibration: Summary | None = None
     before: Before | None = None
+    filmed: Filmed | str | None = None
 
     @property
     def effects(self) -> tuple[NamedEffect, ...]:
@@ -164,6 +164,7 @@ class Finding:
             OutputExistsError: The folder is not empty.
         """
         # matplotlib takes a while to import, which a search need not wait for.
+        from rlco.gap.report.film import film_of
         from rlco.gap.report.report_html import Page, page
 
         folder = Path(folder)
@@ -205,6 +206,7 @@ class Finding:
             self.calibration,
             self.before,
             self.beyond,
+            film_of(self.model, self.filmed),
         )
         write_text(folder / "report.html", page(source))
         return folder / "report.html"
@@ -232,6 +234,7 @@ def run_gap(
     calibrate: str | None = None,
     model_root: str | Path | None = None,
     threads: int = 2,
+    film: bool = True,
     progress: Progress | None = None,
 ) -> Finding:
     """Identify what a robot's model lacks from recordings of the robot.
@@ -260,6 +263,7 @@ def run_gap(
         model_root: The folder in which all files lie that the model reads, such as
             meshes; None: its own, or that of the ROS package around it.
         threads: Number of parallel simulations.
+        film: Whether the report has a film of the robot, measured and simulated.
         progress: Called with a sentence and the fraction done, from 0 to 1.
 
     Raises:
@@ -324,6 +328,7 @@ def run_gap(
         comparisons.append(other)
     say("preparing the figures", 1.0)
     figures = figure_data(problem, verdict, before, labels)
+    shown = filmed(problem, verdict, figures.stretches) if film else None
     return Finding(
         verdict=verdict,
         where=before,
@@ -338,6 +343,7 @@ def run_gap(
         compared=tuple(compared),
         calibration=None if prepared is None else prepared.summary,
         before=None if prepared is None else prepared.before,
+        filmed=shown,
     )
 
 

@@ -159,6 +159,11 @@ class StageTwoOptions(AugmentOptions):
         "domain to train in: a name, MODULE:NAME, or the path of an effects.yaml",
         input="file",
     )
+    train_sample: Literal["none", "posterior"] = option(
+        "none",
+        "posterior: each training episode draws one of the parameter sets in "
+        "train_domain's file",
+    )
     effects_code: str | None = option(
         None, "Python file that registers effects of your own", input="file"
     )

@@ -5,12 +5,14 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 from small_problems import write_case
 
 from rlco.errors import DataError, OutputExistsError, RlcoError
 from rlco.gap import Finding, run_gap
 from rlco.physics.effects import EFFECTS, AppliedEffect
+from rlco.physics.spec.domain import read_domain
 
 DAMPING = AppliedEffect("viscous_damping", "shoulder", {"damping": 0.6})
 # Left out where it does not matter what else is tried.
@@ -61,11 +63,22 @@ def test_nothing_is_written_until_it_is_asked_for(
 ) -> None:
     assert {path.name for path in case[0].parent.iterdir()} == {"arm.xml", "logs"}
     page = finding.write(tmp_path / "new" / "report", command="make it")
-    assert "make it" in page.read_text("utf-8")
+    text = page.read_text("utf-8")
+    assert "make it" in text
+    # The robot as it moved, in the same file.
+    assert text.count('<video src="data:video/mp4;base64,') == 1
     files = {path.name for path in page.parent.iterdir()}
     assert {"report.json", "model.xml", "model.diff", "effects.yaml"} <= files
     content = json.loads((page.parent / "report.json").read_text())
     assert content["effects"][0]["name"] == "viscous_damping"
+    # Parameter sets about what was found, as wide as its interval.
+    domain = read_domain(page.parent / "effects.yaml")
+    assert domain.sample is not None
+    damping = np.array(domain.sample.rows)[:, 0]
+    value = finding.effects[0].parameters["damping"]
+    assert damping.mean() == pytest.approx(value.value, abs=0.01 * value.value)
+    within = (damping >= value.low) & (damping <= value.high)
+    assert within.mean() == pytest.approx(0.9, abs=0.04)
     with pytest.raises(OutputExistsError):
         finding.write(page.parent)
 

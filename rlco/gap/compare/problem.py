@@ -360,6 +360,9 @@ class Verdict:
         remarks: What else was noticed, one sentence each.
         free_form: A torque of free form that does clearly better than the named
             effects; None where there is none.
+        sample: Values of all parameters of `effects`, in their order: parameter sets
+            that are about as believable as the fitted one, (sets, parameters). None
+            where nothing is named, or a comparison has no joint intervals.
     """
 
     complete: bool
@@ -377,3 +380,4 @@ class Verdict:
     held_out: HeldOut | None = None
     remarks: tuple[str, ...] = ()
     free_form: FreeForm | None = None
+    sample: Array | None = None

@@ -27,6 +27,7 @@ from rlco.physics.effects.apply import apply_to_spec
 from rlco.physics.effects.effects_file import write_effects
 from rlco.physics.effects.names import plain_name
 from rlco.physics.mj.model_struct import array_fields
+from rlco.physics.spec.sample import Sample, content_of
 
 _FOLDERS = ("meshdir", "texturedir", "assetdir")
 
@@ -46,11 +47,16 @@ def write_corrected(
     """
     effects = [rounded(effect) for effect in verdict.hypothesis.effects]
     text = corrected_xml(loaded, effects, out)
-    return write_files(loaded, text, effects, out)
+    return write_files(loaded, text, effects, out, sample=_sample(verdict, effects))
 
 
 def write_files(
-    loaded: LoadedModel, text: str, effects: list[AppliedEffect], out: str | Path
+    loaded: LoadedModel,
+    text: str,
+    effects: list[AppliedEffect],
+    out: str | Path,
+    *,
+    sample: Sample | None = None,
 ) -> list[Path]:
     """Write a corrected model, what changed in it, and effects; return the files.
 
@@ -59,6 +65,7 @@ def write_files(
         text: The model after.
         effects: What ``effects.yaml`` lists.
         out: An existing folder.
+        sample: Parameter sets of the effects, which it lists too.
     """
     model, diff, listed = (
         Path(out) / name for name in ("model.xml", "model.diff", "effects.yaml")
@@ -72,8 +79,30 @@ def write_files(
         "b/model.xml",
     )
     diff.write_text("".join(lines), "utf-8")
-    write_effects(listed, effects, names=_names(effects), units=_units(loaded, effects))
+    write_effects(
+        listed,
+        effects,
+        names=_names(effects),
+        units=_units(loaded, effects),
+        sample=None if sample is None else content_of(sample, effects),
+    )
     return [model, diff, listed]
+
+
+def _sample(verdict: Verdict, effects: list[AppliedEffect]) -> Sample | None:
+    """Return a verdict's parameter sets, with six digits, for effects as written."""
+    if verdict.sample is None:
+        return None
+    places = {(effect.name, effect.target): i for i, effect in enumerate(effects)}
+    columns = tuple(
+        (places[effect.name, effect.target], parameter)
+        for effect in verdict.effects
+        for parameter in effect.parameters
+    )
+    rows = tuple(
+        tuple(float(f"{value:.6g}") for value in row) for row in verdict.sample
+    )
+    return Sample(columns, rows)
 
 
 def _lines(text: str) -> list[str]:
@@ -128,6 +157,13 @@ def _spec(loaded: LoadedModel) -> mujoco.MjSpec:
         # MuJoCo fuses a URDF's fixed links, and misplaces the centre of mass of rotated
         # inertias (its pull request 3250): the corrected model keeps them separate.
         spec.compiler.fusestatic = False
+    return spec
+
+
+def whole_spec(loaded: LoadedModel) -> mujoco.MjSpec:
+    """Return the user's whole model, with the names that effects and logs use."""
+    spec = _spec(loaded)
+    _name_all_like(spec, loaded.spec)
     return spec
 
 

@@ -78,7 +78,7 @@ def figure_data(
     if verdict.instability is not None:
         return FigureData(before, None, before, None, ())
     heldout = verdict.heldout or None
-    nominal, corrected = _judged_with(problem, verdict)
+    nominal, corrected = judged_with(problem, verdict)
 
     def compared(
         hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None
@@ -106,7 +106,7 @@ def best_stretches(problem: Problem, verdict: Verdict) -> list[Stretch]:
     """
     every = range(len(problem.log.recordings))
     recordings = (verdict.heldout or tuple(every))[:_RECORDINGS]
-    nominal, corrected = _judged_with(problem, verdict)
+    nominal, corrected = judged_with(problem, verdict)
     if not verdict.effects:
         squares = _squares(problem, nominal, recordings)
         place = _largest(problem, recordings, squares)
@@ -125,7 +125,7 @@ def best_stretches(problem: Problem, verdict: Verdict) -> list[Stretch]:
     return found
 
 
-def _judged_with(
+def judged_with(
     problem: Problem, verdict: Verdict
 ) -> tuple[list[Hypothesis], list[Hypothesis]]:
     """Return what each recording is simulated with, before and after."""

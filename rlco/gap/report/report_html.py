@@ -20,6 +20,7 @@ from rlco.gap.logs.log import Log
 from rlco.gap.report.calibration import calibration_section, reference_section
 from rlco.gap.report.compared import comparison_lines
 from rlco.gap.report.figures import gap_bars, heat_map, png, trace_figure
+from rlco.gap.report.film import Film
 from rlco.gap.report.free_form import free_form_section
 from rlco.gap.report.held_out import held_out_section
 from rlco.gap.report.next_steps import next_steps
@@ -56,6 +57,7 @@ class Page:
         calibration: What a calibration fitted before the search.
         before: What is known from recordings made before.
         beyond: What the calibration found beyond what is usual.
+        film: The robot, measured and simulated; or why it is not to be seen.
     """
 
     verdict: Verdict
@@ -70,6 +72,7 @@ class Page:
     calibration: Summary | None = None
     before: Before | None = None
     beyond: Sequence[NamedEffect] = ()
+    film: Film | str = ""
 
 
 def page(source: Page) -> str:
@@ -268,7 +271,18 @@ def _traces(source: Page) -> str:
         if names
         else ""
     )
-    return "<h2>How it looks</h2>\n" + lead + "\n".join(figures)
+    return "<h2>How it looks</h2>\n" + _film(source.film) + lead + "\n".join(figures)
+
+
+def _film(film: Film | str) -> str:
+    if isinstance(film, str):
+        return f'<p class="quiet">{escape(film)}</p>\n' if film else ""
+    address = html.data_address(film.content, "video/mp4")
+    return (
+        f'<figure><video src="{address}" controls loop muted playsinline '
+        f'preload="auto" aria-label="{escape(film.caption)}"></video>'
+        f"<figcaption>{escape(film.caption)}</figcaption></figure>\n"
+    )
 
 
 def _where(source: Page) -> str:

@@ -46,8 +46,8 @@ def block_bootstrap(jacobian: Array, residual: Array, blocks: Integers) -> Array
 
 def half_widths(
     jacobian: Array, residual: Array, blocks: Integers, free: Array
-) -> Array:
-    """Return half the width of each parameter's interval, (parameters,).
+) -> tuple[Array, Array]:
+    """Return half the width of each parameter's interval, and their correlations.
 
     Args:
         jacobian: Whitened, (parameters, N).
@@ -55,11 +55,45 @@ def half_widths(
         blocks: Block of each row, (N,).
         free: As `jacobian`, whitened with the prior of the tolerance counted once,
             (parameters, N).
+
+    Returns:
+        The half widths, (parameters,), and the correlations, (parameters, parameters).
+
+    Example:
+        >>> free = np.array([[1.0, 0.0], [1.0, 2.0]])
+        >>> exact = np.eye(2), np.zeros(2), np.arange(2)
+        >>> widths, correlation = half_widths(*exact, free)
+        >>> widths.round(2).tolist()  # 1.645 of the square roots of 5 / 4 and 1 / 4
+        [1.84, 0.82]
+        >>> round(float(correlation[0, 1]), 2)
+        -0.45
     """
     draws = block_bootstrap(jacobian, residual, blocks)
     low, high = np.quantile(draws, [(1 - COVERED) / 2, (1 + COVERED) / 2], axis=0)
     resampled = (high - low) / 2
     normal = free @ free.T
     normal = normal + 1e-12 * np.trace(normal) * np.eye(len(normal))
-    prior = NORMAL * np.sqrt(np.maximum(np.diag(np.linalg.inv(normal)), 0.0))
-    return np.asarray(np.hypot(resampled, prior))
+    known = np.linalg.inv(normal)
+    prior = NORMAL * np.sqrt(np.maximum(np.diag(known), 0.0))
+    # The draws' tails are theirs, their directions those of their covariance.
+    away = draws - draws.mean(axis=0)
+    both = correlation_of(away.T @ away)
+    covariance = both * np.outer(resampled, resampled)
+    covariance += correlation_of(known) * np.outer(prior, prior)
+    return np.asarray(np.hypot(resampled, prior)), correlation_of(covariance)
+
+
+def correlation_of(covariance: Array) -> Array:
+    """Return the correlations of a covariance; of what does not vary, none.
+
+    Example:
+        >>> correlation_of(np.array([[4.0, 3.0, 0.0], [3.0, 9.0, 0.0], [0.0] * 3]))
+        array([[1. , 0.5, 0. ],
+               [0.5, 1. , 0. ],
+               [0. , 0. , 1. ]])
+    """
+    size = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    size = np.where(size > 0.0, size, np.inf)
+    found = np.clip(covariance / np.outer(size, size), -1.0, 1.0)
+    np.fill_diagonal(found, 1.0)
+    return np.asarray(found)

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from rlco.gap.compare.problem import Candidate, FreeForm, Gap
+from rlco.gap.logs.log import Array
 from rlco.gap.search.fit import Fit, fit
 from rlco.gap.search.screening import Screening
 from rlco.gap.search.setting import Scored, Setting
@@ -78,6 +79,8 @@ class State:
         ended: Whether no further effect helps.
         rivals: Alternatives to each effect of `best`, once they were tried.
         widths: Half the width of the interval of each parameter of `best`.
+        correlation: Correlations of these parameters, (parameters, parameters); None
+            where nothing is named.
         residual: The remaining gap.
         free_form: A torque of free form that does clearly better than `best`.
         plain: Share of the gap that single effects explain without any tolerance,
@@ -97,6 +100,7 @@ class State:
     ended: bool = False
     rivals: tuple[Rivals, ...] = ()
     widths: tuple[float, ...] = ()
+    correlation: Array | None = None
     residual: Residual | None = None
     free_form: FreeForm | None = None
     plain: Mapping[Candidate, float] = field(default_factory=dict)

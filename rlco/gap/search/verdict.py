@@ -13,6 +13,7 @@ from rlco.gap.compare.problem import (
     Value,
     Verdict,
 )
+from rlco.gap.logs.log import Array
 from rlco.gap.search.judge import (
     LOUD,
     NAMED,
@@ -23,6 +24,7 @@ from rlco.gap.search.judge import (
     kind,
     residual_share,
 )
+from rlco.gap.search.posterior import sample
 from rlco.gap.search.state import Residual, Rivals, State
 
 CLOSEST = 5  # effects that are reported where none is named
@@ -64,6 +66,7 @@ def conclude(state: State, *, complete: bool = True, seconds: float = 0.0) -> Ve
         heldout=state.setting.heldout,
         trail=state.trail,
         free_form=state.free_form,
+        sample=_sample(state) if named else None,
     )
 
 
@@ -113,6 +116,20 @@ def _named_effects(state: State) -> tuple[NamedEffect, ...]:
             )
         )
     return tuple(named)
+
+
+def _sample(state: State) -> Array | None:
+    """Return parameter sets from the intervals, with their correlations."""
+    if state.correlation is None:
+        return None
+    effects = state.best.effects
+    known = [
+        parameter
+        for effect in effects
+        for parameter in state.setting.library[Candidate(effect.name, effect.target)]
+    ]
+    values = np.concatenate([effect.values for effect in effects])
+    return sample(known, values, np.array(state.widths), state.correlation)
 
 
 def _closest(state: State) -> tuple[tuple[Candidate, float], ...]:

@@ -160,24 +160,37 @@ def given_effects(effects: Given) -> EffectsFile | None:
     return effects if effects.effects else None
 
 
-def compile_corrected(xml: str, given: EffectsFile) -> CorrectedModel:
-    """Compile a model with effects applied.
+@dataclass(frozen=True)
+class PlainModel:
+    """A model without effects, from which those with effects are compiled.
 
-    Args:
-        xml: MJCF of the model without them.
-        given: The effects.
-
-    Raises:
-        UnknownNameError: If a target is not in the model.
-        EffectError: If an effect cannot be applied there.
+    Attributes:
+        spec: The model; never modified.
+        model: The same, compiled: the controller's own.
     """
-    spec = mujoco.MjSpec.from_string(xml)
-    plain = spec.compile()
-    effects = [
-        checked(plain, effect, controlled=True)
-        for effect in in_model(given.effects, plain, given.names)
-    ]
-    return correct(spec, plain, effects)
+
+    spec: mujoco.MjSpec
+    model: mujoco.MjModel
+
+    @classmethod
+    def of(cls, xml: str) -> PlainModel:
+        """Return the model of an MJCF."""
+        spec = mujoco.MjSpec.from_string(xml)
+        return cls(spec, spec.compile())
+
+    def checked(self, given: EffectsFile) -> list[AppliedEffect]:
+        """Return effects with targets that are names in the model.
+
+        Raises:
+            UnknownNameError: If a target is not in the model.
+            EffectError: If an effect cannot be applied there.
+        """
+        found = in_model(given.effects, self.model, given.names)
+        return [checked(self.model, effect, controlled=True) for effect in found]
+
+    def with_effects(self, effects: Sequence[AppliedEffect]) -> CorrectedModel:
+        """Return the model with effects that were checked; see `correct`."""
+        return correct(self.spec, self.model, effects)
 
 
 def correct(

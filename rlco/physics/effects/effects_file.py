@@ -1,7 +1,8 @@
 """``effects.yaml``: what a simulator lacks, as a file that people can read and edit.
 
-It is also a domain file, see `rlco.physics.spec.domain.read_domain`. A file with
-sensors has version 2, all others version 1.
+It is also a domain file, see `rlco.physics.spec.domain.read_domain`. A file with a
+sample of parameter sets has version 3, one with sensors alone version 2, all others
+version 1.
 """
 
 from __future__ import annotations
@@ -21,11 +22,17 @@ from rlco.physics.effects.effect import AppliedEffect
 
 VERSION = 1
 WITH_SENSORS = 2  # the version of files with sensors
-_TOP = ("version", "effects", "names", "sensors")
+WITH_SAMPLE = 3  # and of files with a sample
+_VERSIONS = (VERSION, WITH_SENSORS, WITH_SAMPLE)
+_TOP = ("version", "effects", "names", "sensors", "sample")
 _KEYS = {"name", "target", "parameters", "units"}
 _HEAD = """\
 # What a simulator lacks: make_env(task, domain="effects.yaml") has it.
 # names: from a target to its name in a model that calls it otherwise.
+"""
+_SAMPLE_HEAD = """\
+# sample: parameter sets that are as believable as the one above, in the intervals and
+# with their correlations; make_env(..., sample="posterior") draws one an episode.
 """
 
 
@@ -38,11 +45,14 @@ class EffectsFile:
         names: From a target's name to its name in another model, where the two differ
             by more than robosuite's prefixes.
         sensors: The file's entry on sensors, unchanged; None: no entry.
+        sample: The file's entry on parameter sets, unchanged; None: no entry. See
+            `rlco.physics.spec.sample.sample_of`.
     """
 
     effects: tuple[AppliedEffect, ...]
     names: Mapping[str, str] = field(default_factory=dict)
     sensors: Mapping[str, Any] | None = None
+    sample: Mapping[str, Any] | None = None
 
     def renamed(self) -> tuple[AppliedEffect, ...]:
         """Return the effects with targets renamed by `names`."""
@@ -61,6 +71,7 @@ def write_effects(
     names: Mapping[str, str] | None = None,
     units: Mapping[str, Mapping[str, str]] | None = None,
     sensors: Mapping[str, Any] | None = None,
+    sample: Mapping[str, Any] | None = None,
 ) -> None:
     """Write effects.
 
@@ -70,6 +81,7 @@ def write_effects(
         names: See `EffectsFile`.
         units: By effect and parameter, for readers of the file.
         sensors: Entry on sensors; None: no entry.
+        sample: Entry on parameter sets; None: no entry.
 
     Example:
         >>> import tempfile
@@ -90,8 +102,13 @@ def write_effects(
     content = {"version": version, "effects": rows, "names": dict(names or {})}
     if sensors is not None:
         content["sensors"] = dict(sensors)
+    head = _HEAD
+    if sample is not None:
+        content["version"] = WITH_SAMPLE
+        content["sample"] = dict(sample)
+        head += _SAMPLE_HEAD
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
-    Path(path).write_text(_HEAD + text, "utf-8")
+    Path(path).write_text(head + text, "utf-8")
 
 
 def read_effects(path: str | Path) -> EffectsFile:
@@ -110,10 +127,10 @@ def read_effects(path: str | Path) -> EffectsFile:
             f"effects file {str(path)!r} has no list named 'effects'; write one with "
             "name, target and parameters of each."
         )
-    if content.get("version", VERSION) not in (VERSION, WITH_SENSORS):
+    if content.get("version", VERSION) not in _VERSIONS:
         raise DataError(
             f"effects file {str(path)!r} has version {shown(content['version'])}; "
-            f"versions {VERSION} and {WITH_SENSORS} are read, so let the gap workflow "
+            f"versions {VERSION} to {WITH_SAMPLE} are read, so let the gap workflow "
             "write it again."
         )
     for key in content:
@@ -135,7 +152,13 @@ def read_effects(path: str | Path) -> EffectsFile:
             f"sensors of effects file {str(path)!r} are {shown(sensors)}; give a map "
             "from names to numbers."
         )
-    return EffectsFile(rows, names, sensors)
+    sample = content.get("sample")
+    if sample is not None and not isinstance(sample, dict):
+        raise DataError(
+            f"the sample of effects file {str(path)!r} is {shown(sample)}; give a map "
+            "with columns and rows."
+        )
+    return EffectsFile(rows, names, sensors, sample)
 
 
 def _effect(path: Path, number: int, row: Any) -> AppliedEffect:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import ctypes
 import functools
+from dataclasses import dataclass
 from typing import Any
 
 import mujoco
@@ -72,6 +73,49 @@ def array_fields() -> tuple[str, ...]:
     )
 
 
+@dataclass(frozen=True)
+class ModelValues:
+    """The values in which a compiled model differs from another of its structure.
+
+    Attributes:
+        arrays: The arrays that differ, by MuJoCo's name.
+        gravity: Of its options, (3,).
+        statistics: Its ``stat``, as a ctypes structure.
+    """
+
+    arrays: dict[str, NDArray[Any]]
+    gravity: NDArray[np.float64]
+    statistics: Any
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, base: mujoco.MjModel) -> ModelValues:
+        """Return the values of a model that `base` does not have.
+
+        Raises:
+            RlcoError: If the two differ in more than values.
+        """
+        arrays = {}
+        for name in array_fields():
+            mine, theirs = getattr(model, name), getattr(base, name)
+            if mine.shape != theirs.shape:
+                raise RlcoError(
+                    f"two parameter sets of one sample give models of other sizes "
+                    f"({name}: {mine.shape} and {theirs.shape}); leave the sample out."
+                )
+            if not np.array_equal(mine, theirs, equal_nan=mine.dtype.kind == "f"):
+                arrays[name] = mine.copy()
+        whole = model_type().from_address(model._address)
+        statistics = type(whole.stat).from_buffer_copy(whole.stat)
+        return cls(arrays, model.opt.gravity.copy(), statistics)
+
+    def write_to(self, model: mujoco.MjModel) -> None:
+        """Write the values into a whole model."""
+        for name, value in self.arrays.items():
+            getattr(model, name)[:] = value
+        model.opt.gravity[:] = self.gravity
+        model_type().from_address(model._address).stat = self.statistics
+
+
 class ModelCopy:
     """A model's struct, with its own arrays where `set_array` was called.
 
@@ -109,6 +153,15 @@ class ModelCopy:
             self.arrays[name] = getattr(self._model, name).copy()
             setattr(self._struct, name, address_of(self.arrays[name]))
         self.arrays[name][:] = value
+
+    def become(self, values: ModelValues) -> None:
+        """Take these values, and all others from the model that it is a copy of."""
+        for name in self.arrays.keys() - values.arrays.keys():
+            self.set_array(name, getattr(self._model, name))
+        for name, value in values.arrays.items():
+            self.set_array(name, value)
+        self._struct.opt.gravity[:] = values.gravity.tolist()
+        self._struct.stat = values.statistics
 
     def take_statistics(self, model: mujoco.MjModel) -> None:
         """Adopt another model's statistics, which scale MuJoCo's solver."""

@@ -17,7 +17,7 @@ from rlco.physics.native.kernels import (
     set_first_matrices,
 )
 from rlco.physics.native.worlds import Worlds
-from rlco.physics.robosuite.effect_sim import corrected_model_of
+from rlco.physics.robosuite.effect_sim import corrected_model_of, drawn_models_of
 from rlco.physics.robosuite.global_random import seeded
 from rlco.physics.robosuite.read_control import read_control, read_gains
 from rlco.physics.robosuite.source import Cache, RobosuiteSource
@@ -83,6 +83,7 @@ class RobosuiteBatch:
             num_envs=num_envs,
             threads=threads,
             controller_model=corrected_model_of(made.sim).controller_model,
+            drawn=drawn_models_of(made.sim),
         )
         self._caches: list[Cache] = [{} for _ in range(num_envs)]
         self.source.look_at(self.data[0])
@@ -116,18 +117,25 @@ class RobosuiteBatch:
         return self._success.copy()
 
     def reset(
-        self, seeds: Sequence[int], which: NDArray[np.int64] | None = None
+        self,
+        seeds: Sequence[int],
+        which: NDArray[np.int64] | None = None,
+        drawn: Sequence[int] | None = None,
     ) -> dict[str, Array]:
         """Start episodes in the worlds `which` (all by default).
 
         Args:
             seeds: One for each of `which`, in [0, 2**32).
             which: Indices of worlds, shape (R,).
+            drawn: The parameter set that each of `which` has from now on; None: the
+                last one, or at first the effects' own numbers.
 
         Returns:
             The observations of all worlds.
         """
         which = np.arange(self.num_envs) if which is None else which
+        if drawn is not None:
+            self.worlds.draw(which, drawn)
         memory, source = self.worlds.memory, self.source
         self.worlds.forget(which)
         clear_range(which, memory)
@@ -171,9 +179,7 @@ class RobosuiteBatch:
         for first in range(0, horizon, stride):
             left = np.clip(steps - first, 0, stride)
             part = np.ascontiguousarray(actions[:, first : first + stride])
-            self.worlds.run(
-                advance_range, self.worlds.control, self.worlds.memory, part, left
-            )
+            self.worlds.run_controlled(advance_range, part, left)
             self._settle(left, steps - first <= stride, part, reward[:, first])
         if self._on_divergence == "raise" and self.diverged.any():
             raise SimulationError(self.name, np.flatnonzero(self.diverged).tolist())
@@ -213,12 +219,25 @@ class RobosuiteBatch:
         """Store what robosuite has just placed as one world's initial state."""
         source, memory = self.source, self.worlds.memory
         if source.reset_fields:
-            values = {n: getattr(source.model, n)[None] for n in source.reset_fields}
-            self.worlds.patch_model(np.array([number]), values, derive=False)
+            values = {n: getattr(source.model, n) for n in source.reset_fields}
+            if self.worlds.draws:
+                values = self._beside_drawn(number, values)
+            rows = {name: value[None] for name, value in values.items()}
+            self.worlds.patch_model(np.array([number]), rows, derive=False)
         posture = self.data[number].qpos[self.worlds.control.arm_qpos]
         memory.posture[number] = posture
         memory.grip[number] = 0.0
         self._caches[number] = {}
+
+    def _beside_drawn(
+        self, number: int, values: Mapping[str, NDArray[Any]]
+    ) -> dict[str, NDArray[Any]]:
+        """Return what a reset wrote, and the world's parameter set for all the rest."""
+        own, common = self.worlds.model_of(number), self.model
+        return {
+            name: np.where(value == getattr(common, name), getattr(own, name), value)
+            for name, value in values.items()
+        }
 
     def _settle(
         self,

@@ -32,7 +32,7 @@ from rlco.physics.native.kernels import (
     step_range,
 )
 from rlco.physics.native.worlds import Worlds
-from rlco.physics.robosuite.effect_sim import corrected_model_of
+from rlco.physics.robosuite.effect_sim import corrected_model_of, drawn_models_of
 from rlco.physics.robosuite.read_control import integers, read_control, read_gains
 from rlco.physics.spec.domain import GivenDomain, make_domain, with_effects
 from rlco.physics.spec.stepper import OnDivergence, check_actions
@@ -97,6 +97,7 @@ class NativeStepper:
             num_envs=num_envs,
             threads=threads,
             controller_model=corrected_model_of(source.sim).controller_model,
+            drawn=drawn_models_of(source.sim),
         )
         self.tracked = tracked_of(source)
         self.features: Array = np.zeros((num_envs, feature_count(self.tracked)))
@@ -134,13 +135,18 @@ class NativeStepper:
         return self.worlds.memory.broken
 
     def reset(
-        self, initial: list[InitialState], which: NDArray[np.int64] | None = None
+        self,
+        initial: list[InitialState],
+        which: NDArray[np.int64] | None = None,
+        drawn: Sequence[int] | None = None,
     ) -> SceneState:
         """Start episodes in the worlds `which` (all by default).
 
         Args:
             initial: One initial state for each of `which`.
             which: Indices of worlds, shape (R,).
+            drawn: The parameter set of the domain's sample that each of `which` has
+                from now on; None: the last one, or at first the effects' own numbers.
 
         Returns:
             The state of all worlds, leading axes (N,).
@@ -154,8 +160,10 @@ class NativeStepper:
             ],
             axis=-1,
         )
+        if drawn is not None:
+            self.worlds.draw(which, drawn)
         memory = self.worlds.memory
-        factor, offset = self.worlds.control.acting.reported[:, self.tracked.arm_qpos]
+        factor, offset = self.worlds.reported(which, self.tracked.arm_qpos)
         memory.posture[which] = factor * joints + offset
         openings = np.array([start.gripper_opening for start in initial])
         robot = self.task.robot
@@ -177,7 +185,9 @@ class NativeStepper:
             np.stack([start.fixture_opening() for start in initial]),
             self.features,
         )
-        observe_range(which, self.worlds.control, memory)
+        for row in range(which.size):
+            number = which[row : row + 1]
+            observe_range(number, self.worlds.control_of(int(number[0])), memory)
         return self.scene_state()
 
     def step(
@@ -205,10 +215,8 @@ class NativeStepper:
             steps = np.full(count, horizon, dtype=np.int64)
         out = np.empty((count, horizon + 1, self.features.shape[1]))
         out[:, 0] = self.features
-        self.worlds.run(
+        self.worlds.run_controlled(
             step_range,
-            self.worlds.control,
-            self.worlds.memory,
             self.tracked,
             np.ascontiguousarray(actions, dtype=np.float64),
             steps,
@@ -260,7 +268,8 @@ class NativeStepper:
             data = self.worlds.observed[number]
             tool[number] = data.site_xpos[control.site]
             rotation[number] = data.site_xmat[control.site].reshape(3, 3)
-        factor, offset = control.acting.reported[:, self.tracked.arm_qpos]
+        everyone = np.arange(self.num_envs)
+        factor, offset = self.worlds.reported(everyone, self.tracked.arm_qpos)
         return replace(
             state,
             tool_position=tool,

@@ -13,6 +13,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from rlco.errors import RlcoError
 from rlco.physics.mj.libmujoco import address_of
 from rlco.physics.mj.model_struct import ModelCopy, array_fields, reserve_memory
 from rlco.physics.native.world_checks import (
@@ -23,6 +24,7 @@ from rlco.physics.native.world_checks import (
     checked_worlds,
 )
 from rlco.physics.native.world_memory import FIELDS, Memory
+from rlco.physics.robosuite.drawn_models import DrawnModels
 from rlco.physics.spec.control import Array, Control, Integers
 
 RESERVED = 16 << 20  # address space for each world's contacts [bytes]
@@ -39,6 +41,7 @@ class Worlds:
         threads: Python threads; by default one per core, at most `num_envs`.
         longest_delay: Maximum delay in control steps, beyond that of `control`.
         controller_model: The controller's own model, where it is another.
+        drawn: Parameter sets that `draw` may give to a world; None: none.
 
     Raises:
         RlcoError: If `threads` is less than 1.
@@ -54,6 +57,7 @@ class Worlds:
         threads: int | None,
         longest_delay: int = 0,
         controller_model: mujoco.MjModel | None = None,
+        drawn: DrawnModels | None = None,
     ) -> None:
         check_threads(threads)
         self.control = control
@@ -99,6 +103,9 @@ class Worlds:
             friction=np.zeros(num_envs, dtype=np.int64),
             coulomb=np.zeros((num_envs, control.nv)),
         )
+        self._drawn = drawn
+        # A world's own control, where it has a parameter set of its own.
+        self._controls: dict[int, Control] = {}
         self._models: dict[int, ModelCopy] = {}
         self.restore_models(np.arange(num_envs))
         self._compiler: tuple[mujoco.MjModel, mujoco.MjData] | None = None
@@ -109,6 +116,36 @@ class Worlds:
     def run(self, kernel: Callable[..., None], *arguments: Any) -> None:
         """Run a compiled loop over all worlds, in threads."""
         self.run_over(kernel, self.num_envs, *arguments)
+
+    def run_controlled(self, kernel: Callable[..., None], *arguments: Any) -> None:
+        """Run ``kernel(first, last, control, memory, *arguments)`` over all worlds."""
+        if not self._controls:
+            self.run(kernel, self.control, self.memory, *arguments)
+            return
+
+        def run_each(first: int, last: int) -> None:
+            for number in range(first, last):
+                control = self.control_of(number)
+                kernel(number, number + 1, control, self.memory, *arguments)
+
+        self.run(run_each)
+
+    @property
+    def draws(self) -> bool:
+        """Whether the worlds have parameter sets to draw from."""
+        return self._drawn is not None
+
+    def control_of(self, number: int) -> Control:
+        """Return the controller of one world, with the effects that act there."""
+        return self._controls.get(number, self.control)
+
+    def reported(self, which: Integers, columns: Integers) -> Array:
+        """Return factors and offsets of encoder reports, (2, R, columns)."""
+        rows = [
+            self.control_of(number).acting.reported[:, columns]
+            for number in which.tolist()
+        ]
+        return np.stack(rows, axis=1)
 
     def run_over(
         self, kernel: Callable[..., None], count: int, *arguments: Any
@@ -145,6 +182,46 @@ class Worlds:
 
     # -- Differences between worlds ----------------------------------------------
 
+    def draw(self, which: Integers, rows: Sequence[int]) -> None:
+        """Give each of the worlds `which` a parameter set, until the next draw.
+
+        Their pending commands are dropped, so that a reset has to follow.
+
+        Raises:
+            RlcoError: If there are no parameter sets.
+        """
+        if self._drawn is None:
+            raise RlcoError(
+                "the domain has no parameter sets to draw from; give an effects.yaml "
+                "with a sample, or draw none."
+            )
+        for number, row in zip(which.tolist(), rows, strict=True):
+            drawn = self._drawn[row]
+            acting = drawn.corrected.acting(self.control.substeps)._replace(
+                controller_model=self.control.acting.controller_model
+            )
+            self._controls[number] = self.control._replace(acting=acting)
+            self._reserve(acting.whole + int(self.memory.delay[number]))
+            own = self._own_model(number)
+            own.become(drawn.values)
+            if acting.forces.friction.rows.size:
+                self._keep_friction(number, own)
+
+    def _reserve(self, longest: int) -> None:
+        """Make room for pending commands, at least `longest` of each world."""
+        pending = self.memory.pending
+        if longest > pending.shape[1]:
+            grown = np.zeros((self.num_envs, longest, self.control.action_size))
+            grown[:, : pending.shape[1]] = pending
+            self.memory = self.memory._replace(pending=grown)
+
+    def _keep_friction(self, number: int, own: ModelCopy) -> None:
+        """Let friction laws write into a world's own model, on top of its friction."""
+        values = own.arrays.get("dof_frictionloss", self.model.dof_frictionloss).copy()
+        own.set_array("dof_frictionloss", values)
+        self.memory.friction[number] = address_of(own.arrays["dof_frictionloss"])
+        self.memory.coulomb[number] = values
+
     def randomise(
         self,
         which: Integers | Sequence[int],
@@ -170,9 +247,14 @@ class Worlds:
                 broadcast to (R,); pending commands are dropped.
 
         Raises:
-            RlcoError: If a name, a shape or a value is not allowed; nothing has
-                changed then.
+            RlcoError: If a name, a shape or a value is not allowed, or worlds have
+                parameter sets of their own; nothing has changed then.
         """
+        if self._drawn is not None:
+            raise RlcoError(
+                "worlds that draw parameter sets cannot be randomised besides, since "
+                "each reset draws anew; leave out the domain's sample."
+            )
         # Everything is checked before anything changes.
         rows = checked_worlds(which, self.num_envs)
         count, axes = rows.size, self.memory.stiffness.shape[1]
@@ -244,11 +326,7 @@ class Worlds:
             self._models.pop(number, None)
             if self.control.acting.forces.friction.rows.size:
                 # Friction that changes from step to step is a world's own.
-                own = self._own_model(number)
-                own.set_array("dof_frictionloss", self.model.dof_frictionloss)
-                friction = own.arrays["dof_frictionloss"]
-                self.memory.friction[number] = address_of(friction)
-                self.memory.coulomb[number] = friction
+                self._keep_friction(number, self._own_model(number))
 
     def _own_model(self, number: int) -> ModelCopy:
         if number not in self._models:

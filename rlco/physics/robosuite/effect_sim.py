@@ -17,12 +17,15 @@ from numpy.typing import NDArray
 from rlco.errors import RlcoError
 from rlco.physics.effects.corrected_model import (
     CorrectedModel,
-    compile_corrected,
+    PlainModel,
     without_effects,
 )
 from rlco.physics.effects.effects_file import EffectsFile
 from rlco.physics.effects.step_forces import set_friction, set_torques
+from rlco.physics.mj.model_struct import ModelValues
+from rlco.physics.robosuite.drawn_models import DrawnModels
 from rlco.physics.robosuite.robosuite_api import MjSim
+from rlco.physics.spec.sample import Sample
 
 Array = NDArray[np.float64]
 
@@ -32,17 +35,23 @@ class EffectSim(MjSim):
 
     Args:
         corrected: The model and the effects beyond it.
+        drawn: Parameter sets that `draw` may give it; None: none.
 
     Attributes:
-        corrected: The same.
+        corrected: The model and the effects beyond it at present.
+        drawn: The parameter sets.
         controller_sim: The robot's state as its controller observes it; None where that
             is the true state.
         clock: Physics steps since the reset.
     """
 
-    def __init__(self, corrected: CorrectedModel) -> None:
+    def __init__(
+        self, corrected: CorrectedModel, drawn: DrawnModels | None = None
+    ) -> None:
         super().__init__(corrected.model)
         self.corrected = corrected
+        self.drawn = drawn
+        self._own = ModelValues.of(corrected.model, corrected.model)
         self.controller_sim: ControllerSim | None = None
         if corrected.controller_model is not None:
             self.controller_sim = ControllerSim(corrected, self.data._data)
@@ -56,6 +65,29 @@ class EffectSim(MjSim):
         super().reset()
         self.model._model.dof_frictionloss[:] = self._coulomb
         self.clock = 0
+
+    def draw(self, row: int) -> None:
+        """Give the simulation a parameter set, from its next reset on.
+
+        Raises:
+            RlcoError: If it has none.
+        """
+        if self.drawn is None:
+            raise RlcoError(
+                "the domain has no parameter sets to draw from; give an effects.yaml "
+                "with a sample, or draw none."
+            )
+        drawn, model = self.drawn[row], self.model._model
+        model.dof_frictionloss[:] = self._coulomb  # without a law's part
+        own = self._own.arrays
+        for name in drawn.values.arrays.keys() - own.keys():
+            own[name] = getattr(model, name).copy()
+        self._own.write_to(model)
+        drawn.values.write_to(model)
+        self.corrected, self._forces = drawn.corrected, drawn.corrected.forces
+        self._coulomb = model.dof_frictionloss.copy()
+        if self.controller_sim is not None:
+            self.controller_sim.report_as(drawn.corrected)
 
     def step1(self) -> None:
         """Compute the quantities that the controller needs from the state."""
@@ -116,6 +148,10 @@ class ControllerSim(MjSim):
     def __init__(self, corrected: CorrectedModel, data: mujoco.MjData) -> None:
         super().__init__(corrected.controller_model)
         self._true = data
+        self.report_as(corrected)
+
+    def report_as(self, corrected: CorrectedModel) -> None:
+        """Read the encoders as these effects change them."""
         self._reported, self._reported_speed = (
             corrected.reported,
             corrected.reported_speed(),
@@ -162,7 +198,10 @@ class CommandPath:
 
     def __call__(self, action: Array, policy_step: bool = False) -> None:
         """Do what robosuite does, with the command that is due, if there is one."""
-        acting, clock = self._acting, self._sim.clock
+        clock = self._sim.clock
+        if clock == 0:
+            self._acting = self._sim.corrected.acting(self._substeps)
+        acting = self._acting
         if clock == 0:
             zeros = np.zeros_like(action)
             self._pending = deque([zeros] * acting.whole)
@@ -190,6 +229,11 @@ class CommandPath:
         return bool(due or clock == 0)
 
 
+def drawn_models_of(sim: MjSim) -> DrawnModels | None:
+    """Return the parameter sets that a simulation's episodes may draw."""
+    return sim.drawn if isinstance(sim, EffectSim) else None
+
+
 def corrected_model_of(sim: MjSim) -> CorrectedModel:
     """Return a simulation's model with the effects beyond it."""
     if isinstance(sim, EffectSim):
@@ -197,12 +241,15 @@ def corrected_model_of(sim: MjSim) -> CorrectedModel:
     return without_effects(sim.model._model)
 
 
-def initialize_with(env: Any, effects: EffectsFile) -> None:
+def initialize_with(
+    env: Any, effects: EffectsFile, sample: Sample | None = None
+) -> None:
     """Do what robosuite's ``_initialize_sim`` does, with effects in the model.
 
     Args:
         env: A robosuite environment whose model is assembled but not compiled.
         effects: The effects.
+        sample: Parameter sets of them, which episodes may draw.
 
     Raises:
         RlcoError: If an effect cannot be applied to this model, or robosuite would
@@ -216,7 +263,13 @@ def initialize_with(env: Any, effects: EffectsFile) -> None:
     xml = env.model.get_xml()
     for processor in env._xml_processors:
         xml = processor(xml)
-    env.sim = sim = EffectSim(compile_corrected(xml, effects))
+    plain = PlainModel.of(xml)
+    found = plain.checked(effects)
+    corrected = plain.with_effects(found)
+    drawn = None
+    if sample is not None:
+        drawn = DrawnModels(plain, corrected, found, sample)
+    env.sim = sim = EffectSim(corrected, drawn)
     sim.forward()
     env.initialize_time(env.control_freq)
     substeps = int(env.control_timestep / env.model_timestep)

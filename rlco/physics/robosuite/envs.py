@@ -58,11 +58,17 @@ class RobosuiteEnvs:
         return [env.sim.data._data for env in self.envs]
 
     def reset(
-        self, seeds: Sequence[int], which: NDArray[np.int64] | None = None
+        self,
+        seeds: Sequence[int],
+        which: NDArray[np.int64] | None = None,
+        drawn: Sequence[int] | None = None,
     ) -> dict[str, Array]:
         """Start episodes in the environments `which` (all by default)."""
         which = np.arange(self.num_envs) if which is None else which
-        for index, seed in zip(which.tolist(), seeds, strict=True):
+        rows = [None] * len(which) if drawn is None else drawn
+        for index, seed, row in zip(which.tolist(), seeds, rows, strict=True):
+            if row is not None:
+                self.envs[index].sim.draw(row)
             with seeded(seed):
                 self._take(index, self.envs[index].reset())
         self.diverged[which] = False

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mujoco
@@ -97,12 +97,16 @@ class RobosuiteStepper:
         kernel(0, count, *arguments)
 
     def reset(
-        self, initial: list[InitialState], which: NDArray[np.int64] | None = None
+        self,
+        initial: list[InitialState],
+        which: NDArray[np.int64] | None = None,
+        drawn: Sequence[int] | None = None,
     ) -> SceneState:
         """Start episodes in the worlds `which`; return the state of all, (N,)."""
         which = np.arange(self.num_envs) if which is None else which
-        for index, start in zip(which.tolist(), initial, strict=True):
-            self.envs[index].start(start)
+        rows = [None] * len(which) if drawn is None else drawn
+        for index, start, row in zip(which.tolist(), initial, rows, strict=True):
+            self.envs[index].start(start, row)
         self.diverged[which] = False
         sound = [index for index in range(self.num_envs) if not self.diverged[index]]
         fresh = {index: self.envs[index].scene_state() for index in sound}

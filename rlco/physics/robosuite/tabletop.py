@@ -105,7 +105,7 @@ class Tabletop(ManipulationEnv):
 
     def _initialize_sim(self, xml_string: str | None = None) -> None:
         if effects := self.domain.model_effects:
-            initialize_with(self, EffectsFile(effects))
+            initialize_with(self, EffectsFile(effects), self.domain.model_sample)
         else:
             super()._initialize_sim(xml_string)
         # Images agree with the reported positions.
@@ -136,9 +136,17 @@ class Tabletop(ManipulationEnv):
             size.set("memory", "16M")
         return ElementTree.tostring(root, encoding="unicode")
 
-    def start(self, initial: InitialState) -> Any:
-        """Reset to an episode's initial state; return robosuite's observations."""
+    def start(self, initial: InitialState, drawn: int | None = None) -> Any:
+        """Reset to an episode's initial state; return robosuite's observations.
+
+        Args:
+            initial: The initial state.
+            drawn: The parameter set of the domain's sample that the episode has; None:
+                the last one, or at first the effects' own numbers.
+        """
         self.initial = initial
+        if drawn is not None:
+            self.sim.draw(drawn)
         return self.reset()
 
     def _reset_internal(self) -> None:

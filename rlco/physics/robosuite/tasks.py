@@ -22,6 +22,7 @@ from rlco.physics.robosuite.options import (
 )
 from rlco.physics.robosuite.options import PREFIX as PREFIX
 from rlco.physics.spec.actions import LIMIT
+from rlco.physics.spec.sample import Sample
 
 # robosuite's observations that form `state`, and `environment_state`.
 STATE = ("robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos")
@@ -114,7 +115,12 @@ class RobosuiteTask:
 
 
 def make_plain(
-    name: str, *, seed: int = 0, effects: EffectsFile | None = None, **options: Any
+    name: str,
+    *,
+    seed: int = 0,
+    effects: EffectsFile | None = None,
+    sample: Sample | None = None,
+    **options: Any,
 ) -> Any:
     """Return one of robosuite's environments, without cameras.
 
@@ -125,6 +131,7 @@ def make_plain(
         name: robosuite's name, ``Lift``.
         seed: Determines the sizes of objects.
         effects: Effects to add to the model.
+        sample: Parameter sets of these effects, which episodes may draw.
         options: robosuite's own, such as ``robots="UR5e"``.
 
     Raises:
@@ -141,7 +148,7 @@ def make_plain(
     env = kind.__new__(kind)
     if effects is not None:
         # robosuite's constructor compiles the model by this method.
-        env._initialize_sim = _WithEffects(env, effects)
+        env._initialize_sim = _WithEffects(env, effects, sample)
     given = {**DEFAULTS, **options}
     try:
         with seeded(seed):
@@ -161,12 +168,12 @@ def make_plain(
 class _WithEffects:
     """Replacement of an environment's ``_initialize_sim``."""
 
-    def __init__(self, env: Any, effects: EffectsFile) -> None:
-        self._env, self._effects = env, effects
+    def __init__(self, env: Any, effects: EffectsFile, sample: Sample | None) -> None:
+        self._env, self._effects, self._sample = env, effects, sample
 
     def __call__(self, xml_string: str | None = None) -> None:
         del xml_string  # robosuite's signature; here the model is always its own
-        initialize_with(self._env, self._effects)
+        initialize_with(self._env, self._effects, self._sample)
         corrected = self._env.sim.corrected
         if not np.array_equal(
             corrected.reported, without_effects(corrected.model).reported

@@ -14,6 +14,7 @@ import os
 from dataclasses import dataclass, field, replace
 from math import prod
 from pathlib import Path
+from typing import Literal
 
 from rlco.errors import DataError, RlcoError, UnknownNameError
 from rlco.physics.effects import AppliedEffect
@@ -22,6 +23,8 @@ from rlco.physics.effects.corrected_model import Given, given_effects
 from rlco.physics.effects.effects_file import read_effects, write_effects
 from rlco.physics.spec.own import of_module
 from rlco.physics.spec.robot import PANDA
+from rlco.physics.spec.sample import Sample, sample_of
+from rlco.physics.spec.sample import content_of as sample_content
 from rlco.physics.spec.sensors import Sensors, content_of, sensors_of
 
 
@@ -35,6 +38,8 @@ class Domain:
             task while it is built; all others act on its model, commands and encoders.
             If two set the same parameter, the later one counts.
         sensors: Sensor errors.
+        sample: Parameter sets that are about as believable as the effects' own numbers;
+            None: none. Episodes draw them where they are asked to, see `drawing`.
 
     Raises:
         RlcoError: If an effect is unknown, or no task can have it.
@@ -48,6 +53,7 @@ class Domain:
     name: str
     effects: tuple[AppliedEffect, ...] = ()
     sensors: Sensors = field(default_factory=Sensors)
+    sample: Sample | None = None
 
     def __post_init__(self) -> None:
         file = given_effects(self.effects)
@@ -78,12 +84,28 @@ class Domain:
         """The effects that act on a model, its commands and its encoders."""
         return tuple(e for e in self.effects if not library_effect(e.name).of_task)
 
+    @property
+    def model_sample(self) -> Sample | None:
+        """The parameter sets of `model_effects`."""
+        if self.sample is None:
+            return None
+        kept = [
+            index
+            for index, effect in enumerate(self.effects)
+            if not library_effect(effect.name).of_task
+        ]
+        return self.sample.moved({index: place for place, index in enumerate(kept)})
+
     def _factor(self, name: str) -> float:
         factors = [e.parameters["factor"] for e in self.effects if e.name == name]
         return prod(factors, start=1.0)
 
 
 GivenDomain = str | Path | Domain
+#: What an episode's effects have: ``posterior``, one of the domain's parameter sets;
+#: None, their own numbers.
+SampleKind = Literal["posterior"] | None
+SAMPLE_KINDS = ("posterior",)
 
 
 def with_effects(domain: Domain, effects: Given) -> Domain:
@@ -216,6 +238,39 @@ def make_domain(domain: GivenDomain) -> Domain:
     raise UnknownNameError("domain", domain, known)
 
 
+def drawing(domain: Domain, sample: SampleKind) -> Domain:
+    """Return a domain whose episodes draw their effects' numbers, or do not.
+
+    Args:
+        domain: The domain.
+        sample: ``posterior``: each episode draws one of the domain's parameter sets.
+            None: all have the effects' own numbers.
+
+    Raises:
+        UnknownNameError: If there is no such kind.
+        RlcoError: If the domain has no parameter sets to draw from.
+
+    Example:
+        >>> drawing(SIM, "posterior")
+        Traceback (most recent call last):
+        ...
+        rlco.errors.RlcoError: sample='posterior' draws from parameter sets, but \
+domain 'sim' has none; give an effects.yaml for which find_gap named effects, or leave \
+it out.
+    """
+    if sample is None:
+        return replace(domain, sample=None)
+    if sample not in SAMPLE_KINDS:
+        raise UnknownNameError("sample", str(sample), SAMPLE_KINDS)
+    if domain.sample is None:
+        raise RlcoError(
+            f"sample={sample!r} draws from parameter sets, but domain {domain.name!r} "
+            "has none; give an effects.yaml for which find_gap named effects, or leave "
+            "it out."
+        )
+    return domain
+
+
 def _own_domain(text: str) -> Domain:
     found = of_module(text, Domain)
     if DOMAINS.get(found.name, found) != found:
@@ -244,11 +299,14 @@ def read_domain(path: str | Path) -> Domain:
         )
     file = read_effects(path)
     sensors = sensors_of(file.sensors or {}, repr(str(path)))
-    return Domain(name, file.renamed(), sensors)
+    sample = None
+    if file.sample is not None:
+        sample = sample_of(file.sample, file.effects, repr(str(path)))
+    return Domain(name, file.renamed(), sensors, sample)
 
 
 def write_domain(path: str | Path, domain: Domain) -> None:
-    """Write a domain's effects and sensors; its name becomes the file's stem.
+    """Write a domain's effects, sensors and sample; its name becomes the file's stem.
 
     Example:
         >>> import tempfile
@@ -258,4 +316,7 @@ def write_domain(path: str | Path, domain: Domain) -> None:
         True
     """
     sensors = None if domain.sensors == Sensors() else content_of(domain.sensors)
-    write_effects(path, domain.effects, sensors=sensors)
+    sample = None
+    if domain.sample is not None:
+        sample = sample_content(domain.sample, domain.effects)
+    write_effects(path, domain.effects, sensors=sensors, sample=sample)

@@ -46,9 +46,19 @@ class Stepper(Protocol):
         """Mask of the worlds that have diverged since their reset, shape (N,)."""
 
     def reset(
-        self, initial: list[InitialState], which: NDArray[np.int64] | None = None
+        self,
+        initial: list[InitialState],
+        which: NDArray[np.int64] | None = None,
+        drawn: Sequence[int] | None = None,
     ) -> SceneState:
-        """Start episodes in the worlds `which`; return all states, (N,)."""
+        """Start episodes in the worlds `which`; return all states, (N,).
+
+        Args:
+            initial: Their initial states.
+            which: Indices of worlds, (R,).
+            drawn: The parameter set of the domain's sample that each of them has from
+                now on.
+        """
 
     def step(
         self, actions: Array, steps: NDArray[np.int64] | None = None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import mujoco
@@ -9,12 +10,13 @@ import numpy as np
 import pytest
 from log_cases import urdf
 
-from rlco.gap.compare.problem import Gap, Hypothesis, Verdict
+from rlco.gap.compare.problem import Gap, Hypothesis, NamedEffect, Value, Verdict
 from rlco.gap.correct.corrected_files import corrected_xml, write_corrected
 from rlco.gap.model import LoadedModel, load_model
 from rlco.physics.effects import AppliedEffect
 from rlco.physics.effects.apply import apply_to_spec
 from rlco.physics.effects.effects_file import read_effects
+from rlco.physics.spec.domain import read_domain
 
 # As people write them: in degrees, with classes, comments, and what has no name.
 ARM = """\
@@ -129,6 +131,32 @@ def test_the_corrected_file_is_the_model_with_the_effect_in_it(
     # The author's comment and quotes are still there: the text was edited.
     assert "<!-- ours -->" in text
     assert "name='shoulder'" in text
+
+
+def test_effects_yaml_holds_the_sets_of_what_was_named(tmp_path: Path) -> None:
+    loaded = load(tmp_path)
+    calibrated = AppliedEffect("coulomb_friction", "elbow", {"frictionloss": 0.1})
+    friction = AppliedEffect("coulomb_friction", "elbow", {"frictionloss": 0.25})
+    pull = AppliedEffect("joint_stiffness", "shoulder", {"stiffness": 3.0, "rest": 0.5})
+    named = tuple(
+        NamedEffect(
+            one.name,
+            one.target,
+            {k: Value(v, v - 0.1, v + 0.1, "") for k, v in one.parameters.items()},
+        )
+        for one in (friction, pull)
+    )
+    sets = np.array([[0.2, 3.1, 1 / 3], [0.3, 2.9, 0.5]])
+    # A calibration comes first, here of the same friction.
+    found = replace(verdict(calibrated, friction, pull), effects=named, sample=sets)
+    write_corrected(loaded, found, tmp_path)
+    domain = read_domain(tmp_path / "effects.yaml")
+    assert domain.sample is not None
+    assert domain.sample.drawn(0, domain.effects) == (
+        calibrated,
+        replace(friction, parameters={"frictionloss": 0.2}),
+        replace(pull, parameters={"stiffness": 3.1, "rest": 0.333333}),
+    )
 
 
 def _numbers(model: mujoco.MjModel) -> np.ndarray:

@@ -63,7 +63,7 @@ def test_the_file_is_one_that_people_read(tmp_path: Path) -> None:
         ("effects: [", "is no YAML .* in line 1"),
         ("- name: x", "no list named 'effects'"),
         ("effects: {}", "no list named 'effects'"),
-        ("version: 3\neffects: []", "version 3; versions 1 and 2 are read"),
+        ("version: 4\neffects: []", "version 4; versions 1 to 3 are read"),
         ("effects: []\nsensor: {}", "entry 'sensor' .did you mean 'sensors'"),
         ("effects: []\nsensors: [1]", "give a map from names to numbers"),
         ("effects: []\nnames: [a]", "give a map from names"),

@@ -22,7 +22,7 @@ SENSITIVE = 3.0  # squared sensitivity to the tolerance that effects may cause
 def intervals(state: State) -> State:
     """Determine the intervals of the named effects' parameters."""
     if kind(state) not in NAMED:
-        return replace(state, widths=())
+        return replace(state, widths=(), correlation=None)
     setting, effects = state.setting, state.best.effects
     known = [
         parameter
@@ -31,6 +31,7 @@ def intervals(state: State) -> State:
     ]
     # A discontinuous parameter has no gradient: its interval is its resolution.
     widths = np.array([parameter.resolution for parameter in known])
+    correlation = np.eye(len(known))
     smooth = widths == 0.0
     if smooth.any():
         state, once = tolerance_beside(state)
@@ -40,7 +41,7 @@ def intervals(state: State) -> State:
             setting.library, effects, replace(setting, weights=weights).whiten
         )
         rows = setting.blocks[: len(here.residual)]
-        widths[smooth] = half_widths(
+        widths[smooth], correlation[np.ix_(smooth, smooth)] = half_widths(
             here.jacobian[smooth], here.residual, rows, free.jacobian[smooth]
         )
     if state.sensitivity > SENSITIVE:
@@ -50,7 +51,11 @@ def intervals(state: State) -> State:
         away = [parameter.neutral if parameter.scales else 0.0 for parameter in known]
         least = NORMAL * np.max(setting.prior, initial=0.0) * np.abs(values - away)
         widths[smooth] = np.maximum(widths, least)[smooth]
-    return replace(state, widths=tuple(float(width) for width in widths))
+    return replace(
+        state,
+        widths=tuple(float(width) for width in widths),
+        correlation=correlation,
+    )
 
 
 def residual(state: State) -> State:
