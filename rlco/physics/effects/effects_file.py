@@ -1,7 +1,7 @@
 """``effects.yaml``: what a simulator lacks, as a file that people can read and edit.
 
-It is also a domain file, see `rlco.physics.spec.domain.read_domain`. A file with
-sensors has version 2, all others version 1.
+It is also a domain file, see `rlco.physics.spec.domain.read_domain`. A file with a
+look has version 3, another one with sensors version 2, all others version 1.
 """
 
 from __future__ import annotations
@@ -21,7 +21,9 @@ from rlco.physics.effects.effect import AppliedEffect
 
 VERSION = 1
 WITH_SENSORS = 2  # the version of files with sensors
-_TOP = ("version", "effects", "names", "sensors")
+WITH_LOOK = 3  # the version of files with a look
+_VERSIONS = (VERSION, WITH_SENSORS, WITH_LOOK)
+_TOP = ("version", "effects", "names", "sensors", "look")
 _KEYS = {"name", "target", "parameters", "units"}
 _HEAD = """\
 # What a simulator lacks: make_env(task, domain="effects.yaml") has it.
@@ -38,11 +40,13 @@ class EffectsFile:
         names: From a target's name to its name in another model, where the two differ
             by more than robosuite's prefixes.
         sensors: The file's entry on sensors, unchanged; None: no entry.
+        look: The file's entry on the look, or its name, unchanged; None: no entry.
     """
 
     effects: tuple[AppliedEffect, ...]
     names: Mapping[str, str] = field(default_factory=dict)
     sensors: Mapping[str, Any] | None = None
+    look: Mapping[str, Any] | str | None = None
 
     def renamed(self) -> tuple[AppliedEffect, ...]:
         """Return the effects with targets renamed by `names`."""
@@ -61,6 +65,7 @@ def write_effects(
     names: Mapping[str, str] | None = None,
     units: Mapping[str, Mapping[str, str]] | None = None,
     sensors: Mapping[str, Any] | None = None,
+    look: Mapping[str, Any] | str | None = None,
 ) -> None:
     """Write effects.
 
@@ -70,6 +75,7 @@ def write_effects(
         names: See `EffectsFile`.
         units: By effect and parameter, for readers of the file.
         sensors: Entry on sensors; None: no entry.
+        look: Entry on the look, or its name; None: no entry.
 
     Example:
         >>> import tempfile
@@ -87,9 +93,12 @@ def write_effects(
             row["units"] = dict(found)
         rows.append(row)
     version = VERSION if sensors is None else WITH_SENSORS
+    version = version if look is None else WITH_LOOK
     content = {"version": version, "effects": rows, "names": dict(names or {})}
     if sensors is not None:
         content["sensors"] = dict(sensors)
+    if look is not None:
+        content["look"] = look if isinstance(look, str) else dict(look)
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
     Path(path).write_text(_HEAD + text, "utf-8")
 
@@ -110,10 +119,10 @@ def read_effects(path: str | Path) -> EffectsFile:
             f"effects file {str(path)!r} has no list named 'effects'; write one with "
             "name, target and parameters of each."
         )
-    if content.get("version", VERSION) not in (VERSION, WITH_SENSORS):
+    if content.get("version", VERSION) not in _VERSIONS:
         raise DataError(
             f"effects file {str(path)!r} has version {shown(content['version'])}; "
-            f"versions {VERSION} and {WITH_SENSORS} are read, so let the gap workflow "
+            f"versions {VERSION} to {WITH_LOOK} are read, so let the gap workflow "
             "write it again."
         )
     for key in content:
@@ -135,7 +144,13 @@ def read_effects(path: str | Path) -> EffectsFile:
             f"sensors of effects file {str(path)!r} are {shown(sensors)}; give a map "
             "from names to numbers."
         )
-    return EffectsFile(rows, names, sensors)
+    look = content.get("look")
+    if look is not None and not isinstance(look, dict | str):
+        raise DataError(
+            f"the look of effects file {str(path)!r} is {shown(look)}; give the name "
+            "of a look, or a map from names to values."
+        )
+    return EffectsFile(rows, names, sensors, look)
 
 
 def _effect(path: Path, number: int, row: Any) -> AppliedEffect:
