@@ -49,6 +49,11 @@ class Config(RunOptions):
         "what draws the images of a policy that reads some; null: what it was trained "
         "with",
     )
+    look: str | None = option(
+        None,
+        "how the images that it reads look: sim, stand_in, locked, random; null: as "
+        "the domain says",
+    )
     episodes: int = option(256, "episodes, the first ones of the seed", minimum=1)
     videos: int = option(0, "episodes to film", minimum=0)
     effects_code: str | None = option(
@@ -69,7 +74,11 @@ def main(config: Config) -> None:
     from rlco.physics.effects import load_code
     from rlco.physics.tasks.named_task import named_task
     from rlco.policies import load_task_policy
-    from rlco.training.policy_options import check_filmed, check_rendered
+    from rlco.training.policy_options import (
+        check_filmed,
+        check_look,
+        check_rendered,
+    )
 
     load_code(config.effects_code)
     (domain,) = evaluation_domains(config.task, [config.domain]).values()
@@ -77,6 +86,7 @@ def main(config: Config) -> None:
         check_filmed(config.task)
     policy = load_task_policy(config.policy, named_task(config.task))
     check_rendered(policy, config.task, config.renderer)
+    check_look(config.look, policy.image_size)
     # What is filmed is what is counted.
     options: dict[str, Any] = {
         "chunk": policy.chunk,
@@ -84,6 +94,7 @@ def main(config: Config) -> None:
         "variation": config.variation,
         "effects": config.effects,
         "seed": final_states_seed(config.seed),
+        "look": config.look,
     }
     env = evaluation_env(
         config.task,

@@ -46,9 +46,16 @@ class Config:
         None, "Python file that registers effects of your own"
     )
     camera: str | None = option(
-        None, "camera to record, such as agentview; null: no images"
+        None,
+        "camera to record, such as agentview, or several: "
+        "agentview,robot0_eye_in_hand; null: no images",
     )
     image_size: int | None = option(None, "side of its images [pixels]", minimum=16)
+    look: str | None = option(
+        None,
+        "how images look: sim, stand_in, locked, or random for another look in each "
+        "episode; null: as the domain says",
+    )
     renderer: Literal["raster", "opengl"] = option(
         "raster", "what draws them: rlco's own renderer, or OpenGL"
     )
@@ -59,8 +66,11 @@ def main(config: Config) -> None:
     """Record, then say what was recorded."""
     from rlco.data import record_demonstrations
     from rlco.physics.effects import load_code
+    from rlco.training.policy_options import check_look
 
     load_code(config.effects_code)
+    check_look(config.look, config.image_size)
+    cameras = [name.strip() for name in (config.camera or "").split(",")]
     frames = record_demonstrations(
         config.out,
         config.task,
@@ -69,7 +79,9 @@ def main(config: Config) -> None:
         seed=config.seed,
         noise=config.noise,
         effects=config.effects,
-        camera=config.camera,
+        # One alone is named as it always was.
+        camera=cameras if len(cameras) > 1 else config.camera,
+        look=config.look,
         image_size=config.image_size,
         renderer=config.renderer,
         video=config.video,

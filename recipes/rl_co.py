@@ -99,6 +99,7 @@ def train(
         chunk=policy.chunk,
         image_size=policy.image_size,
         renderer=policy.renderer,
+        look=config.look,
         prepare=fix_pose_range(critic, policy) if run.step is None else None,
     )
     episodes = config.eval_episodes

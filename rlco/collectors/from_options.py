@@ -52,6 +52,7 @@ def make_collector(
     image_size: tuple[int, int] | None,
     renderer: Literal["raster", "opengl"] = "opengl",
     backend: Literal["native", "robosuite"] = "native",
+    look: str | None = None,
     prepare: Callable[[TensorDictBase], None] | None = None,
 ) -> RolloutCollector:
     """Return a collector that plays in the options' simulator.
@@ -64,6 +65,7 @@ def make_collector(
         image_size: Height and width of the images that the policy reads; None: none.
         renderer: What draws these images.
         backend: Who steps the model.
+        look: How images look, see `make_env`; None: as the domain says.
         prepare: See `RolloutCollector`.
     """
     env = make_env(
@@ -77,6 +79,7 @@ def make_collector(
         horizon=training_horizon(options.task, options.horizon),
         image_size=image_size,
         renderer=renderer if image_size else "opengl",
+        look=look,
         seed=options.seed,
     )
     return RolloutCollector(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from itertools import chain
 from pathlib import Path
@@ -18,7 +18,8 @@ from rlco.errors import ConfigError, RenderingError, RlcoError
 from rlco.physics.effects.corrected_model import Given
 from rlco.physics.rendering.renderers import check_renderer
 from rlco.physics.robosuite.options import PREFIX
-from rlco.physics.spec.domain import Domain, GivenDomain, make_domain
+from rlco.physics.spec.domain import Domain, GivenDomain, make_domain, with_look
+from rlco.physics.spec.looks import GivenLook
 from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.task import Task
 from rlco.physics.tasks.demonstrate import (
@@ -41,10 +42,11 @@ def record_demonstrations(
     seed: int,
     noise: float = 0.1,
     effects: Given = None,
-    camera: str | None = None,
+    camera: str | Sequence[str] | None = None,
     image_size: int | None = None,
     renderer: Renderer = "opengl",
     video: bool = False,
+    look: GivenLook | None = None,
 ) -> int:
     """Record demonstrations of a task's expert as a LeRobot v3 data set.
 
@@ -56,10 +58,11 @@ def record_demonstrations(
         seed: Draws initial states and noise.
         noise: Of the commands, in units of their range.
         effects: Effects to add to the simulator, see `rlco.envs.make_env`.
-        camera: Camera to record; None: no images.
+        camera: Camera to record, or a list of several; None: no images.
         image_size: Side of its images [pixels].
         renderer: What draws them, ``raster`` or ``opengl``.
         video: Keep images as video, small and lossy, not as PNG.
+        look: How images look, see `rlco.envs.make_env`; None: as the domain says.
 
     Returns:
         The number of frames.
@@ -78,7 +81,7 @@ def record_demonstrations(
         )
     check_new_folder(Path(path))
     check_renderer(renderer)
-    what, where = make_task(task), make_domain(domain)
+    what, where = make_task(task), with_look(make_domain(domain), look)
     given: dict[str, Any] = {
         "episodes": episodes,
         "seed": seed,
@@ -146,12 +149,15 @@ def record_once(path: Path, task: str, domain: GivenDomain, **options: Any) -> N
 def _played(
     task: Task,
     domain: Domain,
-    camera: str | None,
+    camera: str | Sequence[str] | None,
     size: tuple[int, int] | None,
     renderer: Renderer,
     given: dict[str, Any],
 ) -> Iterator[tuple[Demonstration, Any]]:
-    """Return demonstrations, each with its images: None a frame without a camera."""
+    """Return demonstrations, each with its frames' images: None without a camera.
+
+    An image is a map by camera where there is a list of cameras.
+    """
     if (camera is None) != (size is None):
         raise ConfigError(
             ["camera and image_size belong together; give both or neither"]
@@ -159,9 +165,18 @@ def _played(
     if camera is None or size is None:
         plain = demonstrate(task, domain, **given)
         return ((one, [None] * len(one.action)) for one in plain)
-    return film_demonstrations(
+    filmed = film_demonstrations(
         task, domain, camera=camera, image_size=size, renderer=renderer, **given
     )
+    if isinstance(camera, str):
+        return filmed
+    return ((one, _by_frame(images)) for one, images in filmed)
+
+
+def _by_frame(images: dict[str, Any]) -> list[dict[str, Any]]:
+    """Return a map by camera for each frame of a film by each camera."""
+    frames = zip(*images.values(), strict=True)
+    return [dict(zip(images, frame, strict=True)) for frame in frames]
 
 
 def _write(writer: DemoWriter, demonstration: Demonstration, images: Any) -> None:

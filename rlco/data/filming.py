@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rlco.physics.effects.corrected_model import Given
 from rlco.physics.native.stepper import NativeStepper
-from rlco.physics.rendering.camera import Camera
-from rlco.physics.rendering.raster import RasterCamera
-from rlco.physics.rendering.renderers import make_camera
-from rlco.physics.spec.domain import GivenDomain
+from rlco.physics.spec.domain import GivenDomain, make_domain, with_look
+from rlco.physics.spec.looks import GivenLook
 from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.task import InitialState, SceneState, Task
 from rlco.physics.tasks.demonstrate import (
@@ -22,9 +21,11 @@ from rlco.physics.tasks.demonstrate import (
     ExpertError,
     demonstrate,
 )
+from rlco.physics.tasks.views import Views
 from rlco.reporting.video import write_video
 
 Images = NDArray[np.uint8]
+_ONE = np.zeros(1, np.int64)  # the only world
 SIDE_BY_SIDE = 20  # episodes of the expert that run at once, at most
 
 
@@ -32,14 +33,15 @@ def film_demonstrations(
     task: Task,
     domain: GivenDomain,
     *,
-    camera: str,
+    camera: str | Sequence[str],
     image_size: tuple[int, int],
     episodes: int,
     seed: int,
     noise: float = 0.1,
     effects: Given = None,
     renderer: Renderer = "opengl",
-) -> Iterator[tuple[Demonstration, Images]]:
+    look: GivenLook | None = None,
+) -> Iterator[tuple[Demonstration, Any]]:
     """Yield demonstrations, as `demonstrate` does, each with camera images.
 
     Each demonstration is played once more for the camera: drawing takes most of the
@@ -49,24 +51,29 @@ def film_demonstrations(
     Args:
         task: The task.
         domain: Where it is recorded; its camera stands where the domain says.
-        camera: Name of one of the model's cameras.
+        camera: Name of one of the model's cameras, or a list of several names.
         image_size: Height and width of the images [pixels].
         episodes: Successful episodes to yield.
         seed: Draws initial states, sensor noise and command noise.
         noise: Standard deviation of command noise, in units of the action's range.
         effects: Effects to add to the model, see `rlco.envs.make_env`.
         renderer: What draws the images, ``raster`` or ``opengl``.
+        look: How they look, see `rlco.envs.make_env`; None: as the domain says.
 
     Returns:
-        Demonstrations of L control steps, each with uint8 (L, 3, height, width).
+        Demonstrations of L control steps, each with uint8 (L, 3, height, width), or
+        with a map from cameras' names to such where several are named.
 
     Raises:
         RenderingError: Nothing can render.
         UnknownNameError: The model has no such camera.
-        RlcoError: If the expert fails in more than half of many episodes.
+        RlcoError: If a camera is named twice, or if the expert fails in more than half
+            of many episodes.
     """
+    domain = with_look(make_domain(domain), look)
     stage = NativeStepper(task, domain, num_envs=1, effects=effects)
-    eye = make_camera(stage.model, image_size, camera, renderer=renderer)
+    names = [camera] if isinstance(camera, str) else camera
+    views = Views(stage, domain.look, image_size, cameras=names, renderer=renderer)
     watch = _Watch(task, min(SIDE_BY_SIDE, episodes))
     demonstrations = demonstrate(
         watch.task,
@@ -77,9 +84,14 @@ def film_demonstrations(
         num_envs=watch.count,
         effects=effects,
     )
-    return (
-        (one, _film(stage, eye, watch.start_of(one), one)) for one in demonstrations
-    )
+
+    def films() -> Iterator[tuple[Demonstration, Any]]:
+        for one in demonstrations:
+            start, number = watch.start_of(one)
+            images = _film(stage, views, (seed, number), start, one)
+            yield one, images[camera] if isinstance(camera, str) else images
+
+    return films()
 
 
 def film_failure(
@@ -105,10 +117,10 @@ def film_failure(
         RenderingError: Nothing can render.
     """
     stage = NativeStepper(task, domain, num_envs=1, effects=effects)
-    eye = Camera(stage.model, image_size)
-    episode = failure.episode
-    rng = np.random.default_rng([failure.seed, episode.number])
-    images = _film(stage, eye, task.sample(rng, None), episode.demonstration)
+    views = Views(stage, stage.domain.look, image_size)
+    key = failure.seed, failure.episode.number
+    start = task.sample(np.random.default_rng(key), None)
+    (images,) = _film(stage, views, key, start, failure.episode.demonstration).values()
     write_video(path, images.transpose(0, 2, 3, 1), task.control_frequency)
 
 
@@ -131,8 +143,8 @@ class _Watch:
         self._success = self._inner.success(state)
         return self._success
 
-    def start_of(self, demonstration: Demonstration) -> InitialState:
-        """Return how the demonstration that was just yielded started.
+    def start_of(self, demonstration: Demonstration) -> tuple[InitialState, int]:
+        """Return how the demonstration that was just yielded started, and its number.
 
         They come in the order of their batch. One that succeeded and was passed over
         has an instruction that no later one has.
@@ -145,20 +157,34 @@ class _Watch:
             and texts[batch[self._next].instruction_id] == demonstration.instruction
         ):
             self._next += 1
+        number = len(self._starts) - len(batch) + self._next
         self._next += 1
-        return batch[self._next - 1]
+        return batch[self._next - 1], number
 
 
 def _film(
     stage: NativeStepper,
-    eye: Camera | RasterCamera,
+    views: Views,
+    key: tuple[int, int],
     start: InitialState,
     played: Demonstration,
-) -> Images:
-    """Return an image of each state in which an action was taken."""
+) -> dict[str, Images]:
+    """Return images of each state in which an action was taken, by camera.
+
+    Args:
+        stage: One world.
+        views: Its cameras.
+        key: Seed and number of the episode, which draw a look and the sensor's noise.
+        start: How it starts.
+        played: What happens in it.
+    """
+    seed, number = key
+    views.start(_ONE, seed, [number])
     stage.reset([start])
-    images = []
-    for action in played.action:
-        images.append(eye.frame(stage.data[0]))
+    images: dict[str, list[Images]] = {name: [] for name in views.images}
+    for step, action in enumerate(played.action):
+        views.draw(_ONE, np.array([step]))
+        for name, frames in views.images.items():
+            images[name].append(frames[0].copy())
         stage.step(action[None, None])
-    return np.stack(images)
+    return {name: np.stack(frames) for name, frames in images.items()}

@@ -38,8 +38,9 @@ class DemoWriter:
         environment_state_names: One name a number of
             ``observation.environment_state``; None leaves it out.
         robot_type: A word for the robot.
-        camera: Name of one camera, kept as ``observation.images.<camera>``.
-        image_size: Its (height, width) [pixels].
+        camera: Name of one camera, kept as ``observation.images.<camera>``, or a list
+            of several names.
+        image_size: Height and width of their images [pixels].
         video: Keep the images as video (small, lossy) and not as PNG (exact).
 
     Raises:
@@ -56,7 +57,7 @@ class DemoWriter:
         action_names: Sequence[str],
         environment_state_names: Sequence[str] | None = None,
         robot_type: str | None = None,
-        camera: str | None = None,
+        camera: str | Sequence[str] | None = None,
         image_size: tuple[int, int] | None = None,
         video: bool = False,
     ) -> None:
@@ -71,14 +72,16 @@ class DemoWriter:
             names = tuple(environment_state_names)
             self._numeric["observation.environment_state"] = names
         self._image_size = image_size
-        self._camera = None if camera is None else f"observation.images.{camera}"
-        problems = _problems(fps, self._numeric, camera, image_size)
+        self._one_camera = isinstance(camera, str)
+        names = (camera,) if isinstance(camera, str) else tuple(camera or ())
+        self._cameras = {name: f"observation.images.{name}" for name in names}
+        problems = _problems(fps, self._numeric, names, image_size)
         if problems:
             raise ConfigError(problems)
         self._dataset = self._create(fps, robot_type, video)
         (self.path / UNFINISHED_MARK).touch()
         # Images go through lerobot's own frame buffer, numbers through a quicker way.
-        self._episodes = None if camera else LowDimEpisodes(self._dataset.meta)
+        self._episodes = None if names else LowDimEpisodes(self._dataset.meta)
         self._pending: list[Frame] = []
         self._open = True
 
@@ -99,7 +102,7 @@ class DemoWriter:
         action: npt.ArrayLike,
         task: str,
         environment_state: npt.ArrayLike | None = None,
-        image: npt.ArrayLike | None = None,
+        image: npt.ArrayLike | Mapping[str, npt.ArrayLike] | None = None,
     ) -> None:
         """Add a frame to the episode under way.
 
@@ -108,7 +111,8 @@ class DemoWriter:
             action: Shape (A,), taken in that state.
             task: The instruction.
             environment_state: Shape (E,), where it is recorded.
-            image: uint8, shape (3, height, width), where there is a camera.
+            image: uint8, shape (3, height, width), where there is a camera; a map by
+                name to such where a list of cameras was given.
 
         Raises:
             DataError: A value is missing, not wanted, of another size, or not finite.
@@ -129,13 +133,7 @@ class DemoWriter:
                 )
             if value is not None:
                 frame[name] = self._numbers(name, value)
-        if (image is None) != (self._camera is None):
-            raise DataError(
-                f"image is {'not given' if image is None else 'given'}, but the data "
-                f"set records {self._camera or 'no camera'}."
-            )
-        if image is not None and self._camera is not None:
-            frame[self._camera] = self._image(image)
+        frame |= self._images(image)
         self._pending.append(frame)
 
     def save_episode(self) -> None:
@@ -209,10 +207,10 @@ class DemoWriter:
             name: {"dtype": "float32", "shape": (len(names),), "names": list(names)}
             for name, names in self._numeric.items()
         }
-        if self._camera is not None and self._image_size is not None:
-            features[self._camera] = {
+        for feature in self._cameras.values():
+            features[feature] = {
                 "dtype": "video" if video else "image",
-                "shape": (*self._image_size, 3),
+                "shape": (*(self._image_size or ()), 3),
                 "names": ["height", "width", "channels"],
             }
         return LeRobotDataset.create(
@@ -245,6 +243,28 @@ class DemoWriter:
             )
         return array
 
+    def _images(self, image: Any) -> Frame:
+        """Return the images of one frame by their features."""
+        if (image is None) != (not self._cameras):
+            raise DataError(
+                f"image is {'not given' if image is None else 'given'}, but the data "
+                f"set records {', '.join(self._cameras.values()) or 'no camera'}."
+            )
+        if image is None:
+            return {}
+        by_name = image
+        if self._one_camera:
+            by_name = dict.fromkeys(self._cameras, image)
+        elif not isinstance(image, Mapping) or set(image) != set(self._cameras):
+            raise DataError(
+                "image must be a map with an image of each of the cameras "
+                f"{', '.join(self._cameras)}."
+            )
+        return {
+            feature: self._image(by_name[name])
+            for name, feature in self._cameras.items()
+        }
+
     def _image(self, image: npt.ArrayLike) -> npt.NDArray[np.uint8]:
         array = np.asarray(image)
         wanted = (3, *(self._image_size or ()))
@@ -259,7 +279,7 @@ class DemoWriter:
 def _problems(
     fps: int,
     numeric: Mapping[str, Sequence[str]],
-    camera: str | None,
+    cameras: Sequence[str],
     image_size: tuple[int, int] | None,
 ) -> list[str]:
     problems = [
@@ -269,6 +289,8 @@ def _problems(
     ]
     if fps < 1 or int(fps) != fps:
         problems.append(f"fps={fps}, but LeRobot wants a whole number of at least 1")
-    if (camera is None) != (image_size is None):
+    if len(set(cameras)) < len(cameras):
+        problems.append(f"the cameras {list(cameras)} must all be different")
+    if (not cameras) != (image_size is None):
         problems.append("camera and image_size belong together; give both or neither")
     return problems

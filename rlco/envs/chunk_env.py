@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Mapping, Sequence
 from typing import Any, ClassVar, Literal, Protocol
 
 import numpy as np
@@ -119,16 +120,24 @@ class ChunkEnv(EnvBase):
         )
 
     def _observe_as(
-        self, state: int, environment_state: int, image_size: tuple[int, int] | None
+        self,
+        state: int,
+        environment_state: int,
+        image_size: tuple[int, int] | None,
+        cameras: Sequence[str] = (),
     ) -> None:
-        """Set the specs of what is observed."""
+        """Set the specs of what is observed; several cameras have a key each."""
         (n,) = self.batch_size
         observed: dict[str, object] = {
             "state": Unbounded((n, state)),
             "environment_state": Unbounded((n, environment_state)),
         }
         if image_size:
-            observed["image"] = Bounded(0, 255, (n, 3, *image_size), dtype=torch.uint8)
+            frame = Bounded(0, 255, (n, 3, *image_size), dtype=torch.uint8)
+            named = {name: frame.clone() for name in cameras}
+            observed["image"] = (
+                Composite(named, shape=(n,)) if len(named) > 1 else frame
+            )
         texts = self.task.instructions
         flag = Categorical(2, (n, 1), dtype=torch.bool)
         self.observation_spec = Composite(
@@ -154,7 +163,7 @@ class ChunkEnv(EnvBase):
         """Execute chunks (N, H, A); return rewards summed, (N,), and who diverged."""
         raise NotImplementedError
 
-    def _seen(self) -> dict[str, torch.Tensor]:
+    def _seen(self) -> Mapping[str, torch.Tensor | TensorDict]:
         """Return the entries under `observation`."""
         raise NotImplementedError
 

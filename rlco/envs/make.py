@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,13 +25,16 @@ from rlco.physics.spec.domain import (
     drawing,
     make_domain,
     with_effects,
+    with_look,
 )
+from rlco.physics.spec.looks import GivenLook
 from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.stepper import Stepper
 from rlco.physics.spec.task import Task
 from rlco.physics.tasks.make_task import make_task
 from rlco.physics.tasks.named_task import check_robosuite_domain
 from rlco.physics.tasks.variations import check_variation_of, domain_in
+from rlco.physics.tasks.views import check_cameras
 
 Backend = Literal["native", "robosuite"]
 
@@ -48,6 +51,8 @@ def make_env(
     image_size: tuple[int, int] | None = None,
     image_quality: Quality = "fast",
     renderer: Renderer = "opengl",
+    cameras: Sequence[str] = ("agentview",),
+    look: GivenLook | None = None,
     variation: str | None = None,
     effects: Given = None,
     effects_code: str | Path | None = None,
@@ -76,6 +81,10 @@ def make_env(
             times slower.
         renderer: ``opengl``, or ``raster``, rlco's own: several times faster without a
             GPU, in the threads that step, and without an OpenGL library.
+        cameras: Names of the model's cameras, such as ``robot0_eye_in_hand``. One gives
+            ``("observation", "image")``, several ``("observation", "image", NAME)``.
+        look: How images look: ``sim``, ``stand_in``, ``locked``, ``random`` for another
+            one in each episode, a `Look` or `LookRanges`; None: as the domain says.
         variation: A named variation of the scene, one of the task's.
         effects: Physical effects to add to the domain's: a list of
             `rlco.physics.effects.AppliedEffect`, or the path of an ``effects.yaml``.
@@ -129,6 +138,17 @@ def make_env(
             f"renderer={renderer!r} is of no use without images; give "
             "image_size=(height, width), or leave it out."
         )
+    check_cameras(cameras)
+    if tuple(cameras) != ("agentview",) and image_size is None:
+        raise RlcoError(
+            f"cameras={list(cameras)} are of no use without images; give "
+            "image_size=(height, width), or leave them out."
+        )
+    if look is not None and image_size is None:
+        raise RlcoError(
+            "look= is of no use without images; give image_size=(height, width), or "
+            "leave it out."
+        )
     if image_quality != "fast" and image_size is None:
         raise RlcoError(
             f"image_quality={image_quality!r} is of no use without images; give "
@@ -137,6 +157,7 @@ def make_env(
     check_native(backend, threads=threads, exact=exact)
     load_code(effects_code)
     domain = with_effects(drawing(make_domain(domain), sample), effects)
+    domain = with_look(domain, look)
     if isinstance(task, str) and task.startswith(PREFIX):
         _refuse_for_robosuite(task, image_size, variation)
         check_robosuite_domain(task, domain)
@@ -193,6 +214,7 @@ def make_env(
         image_size=image_size,
         image_quality=image_quality,
         renderer=renderer,
+        cameras=cameras,
         variation=variation,
         seed=seed,
         on_divergence=on_divergence,

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
+from tensordict import TensorDict
 
 from rlco.envs.chunk_env import ChunkEnv, OnDivergence, RewardKind
 from rlco.physics.rendering.camera import Quality
-from rlco.physics.rendering.renderers import Frames, frames_of
 from rlco.physics.spec.domain import Domain
 from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.observation import noise_size, observe
 from rlco.physics.spec.stepper import Stepper
 from rlco.physics.spec.task import Array, InitialState, SceneState, Task
+from rlco.physics.tasks.views import Views
 
 
 class TabletopEnv(ChunkEnv):
@@ -34,6 +37,7 @@ class TabletopEnv(ChunkEnv):
         variation: A named variation of the task's initial states.
         seed: Draws initial states and sensor noise.
         on_divergence: ``reset`` or ``raise``.
+        cameras: Names of the cameras, all of one size.
     """
 
     task: Task
@@ -54,6 +58,7 @@ class TabletopEnv(ChunkEnv):
         seed: int,
         on_divergence: OnDivergence = "reset",
         renderer: Renderer = "opengl",
+        cameras: Sequence[str] = ("agentview",),
     ) -> None:
         super().__init__(
             task,
@@ -69,19 +74,25 @@ class TabletopEnv(ChunkEnv):
         self.stepper = stepper
         self._reward_kind = reward
         self._variation = variation
-        self._frames: Frames | None = None
-        self._image_size = image_size
+        self._views: Views | None = None
         if image_size is not None:
-            self._frames = frames_of(
-                stepper, image_size, renderer=renderer, quality=image_quality
+            self._views = Views(
+                stepper,
+                domain.look,
+                image_size,
+                cameras=cameras,
+                renderer=renderer,
+                quality=image_quality,
             )
-            self._images = np.zeros((num_envs, 3, *image_size), dtype=np.uint8)
         # One row of sensor noise for the start and for each decision of an episode.
         decisions = -(-self.horizon // chunk)
         self._noise = np.zeros((num_envs, decisions + 1, noise_size(task)))
         self._state: SceneState | None = None
         self._observe_as(
-            len(task.state_names), len(task.environment_state_names), image_size
+            len(task.state_names),
+            len(task.environment_state_names),
+            image_size,
+            cameras,
         )
 
     def initial_state(self, index: int) -> InitialState:
@@ -95,9 +106,11 @@ class TabletopEnv(ChunkEnv):
             # Its own stream, so that noise never shifts the initial states.
             rng = np.random.default_rng([self._seed, index, 1])
             self._noise[env] = rng.standard_normal(self._noise.shape[1:])
+        if self._views is not None:
+            self._views.start(which, self._seed, episodes)
         self._state = self.stepper.reset(starts, which, self._drawn_sets(episodes))
         self._instruction_id[:] = self._state.instruction_id
-        self._render(which)
+        self._render(which, np.zeros_like(self._elapsed))
 
     def _advance(
         self, actions: Array, steps: NDArray[np.int64]
@@ -108,26 +121,33 @@ class TabletopEnv(ChunkEnv):
         )
         self._state = states.at(np.s_[:, -1])
         diverged = self.stepper.diverged
-        self._render(np.flatnonzero((steps > 0) & ~diverged))
+        self._render(np.flatnonzero((steps > 0) & ~diverged), steps)
         executed = np.arange(self.chunk) < steps[:, None]
         return np.where(executed, rewards, 0.0).sum(axis=1), diverged
 
-    def _render(self, which: NDArray[np.int64]) -> None:
-        """Renew the frames of the worlds that have moved."""
-        if self._frames is not None:
-            self._frames.draw(which, self._images)
+    def _render(self, which: NDArray[np.int64], steps: NDArray[np.int64]) -> None:
+        """Renew the frames of the worlds that have moved, by so many steps (N,)."""
+        if self._views is not None:
+            self._views.draw(which, self._elapsed + steps)
 
-    def _seen(self) -> dict[str, torch.Tensor]:
+    def _seen(self) -> Mapping[str, torch.Tensor | TensorDict]:
         row = -(-self._elapsed // self.chunk)
         noise = self._noise[np.arange(row.size), row]
         reported = self.stepper.reported_state()
         robot, environment = observe(self.task, self.domain, reported, noise)
-        observed = {
+        observed: dict[str, torch.Tensor | TensorDict] = {
             "state": torch.from_numpy(robot).float(),
             "environment_state": torch.from_numpy(environment).float(),
         }
-        if self._frames is not None:
-            observed["image"] = torch.from_numpy(self._images.copy())
+        if self._views is not None:
+            images = {
+                name: torch.from_numpy(frames.copy())
+                for name, frames in self._views.images.items()
+            }
+            (first, *more) = images.values()
+            observed["image"] = (
+                TensorDict(images, batch_size=self.batch_size) if more else first
+            )
         return observed
 
     def _solved(self) -> NDArray[np.bool_]:
@@ -141,6 +161,6 @@ class TabletopEnv(ChunkEnv):
 
     def close(self, *, raise_if_closed: bool = True) -> None:
         """Free the rendering context too."""
-        if self._frames is not None:
-            self._frames.close()
+        if self._views is not None:
+            self._views.close()
         super().close(raise_if_closed=raise_if_closed)

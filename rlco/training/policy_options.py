@@ -186,6 +186,28 @@ def check_rendered(policy: ChunkPolicy, task: str, renderer: str | None = None) 
     check_can_render(renderer or policy.renderer)
 
 
+def check_look(look: str | None, image_size: object) -> None:
+    """Check the name of a look, and that there are images to look so.
+
+    Args:
+        look: Its name; None: as the domain says.
+        image_size: Of the images that are drawn; None where there are none.
+
+    Raises:
+        UnknownNameError: There is no such look.
+        ConfigError: There are no images.
+    """
+    from rlco.physics.spec.looks import make_look
+
+    if look is None:
+        return
+    make_look(look)
+    if image_size is None:
+        raise ConfigError(
+            [f"look={look} changes images, but none are drawn; leave it out"]
+        )
+
+
 def check_filmed(task: str) -> None:
     """Check that the simulator can film a task.
 

@@ -15,6 +15,7 @@ from rlco.training.policy_options import (
     LARGEST_LR,
     AugmentOptions,
     augment,
+    check_look,
     check_rendered,
 )
 
@@ -75,6 +76,11 @@ class StageTwoOptions(AugmentOptions):
         None,
         "control steps of a training episode, truncated; null: the task's",
         minimum=1,
+    )
+    look: str | None = option(
+        None,
+        "how the images that it reads look in training: sim, stand_in, or random for "
+        "another look in each episode; null: as train_domain says",
     )
     backend: Literal["native", "robosuite"] = option("native", "who steps the model")
     reward: Literal["shaped", "sparse"] = option("shaped", "reward of a control step")
@@ -254,6 +260,7 @@ def load_stage_two(options: StageTwoOptions) -> tuple[ChunkPolicy, StageTwoDemos
     make_critic(options, policy)  # whether such a policy can have it shows here
     check_stage_two(options)
     check_rendered(policy, options.task)
+    check_look(options.look, policy.image_size)
     if options.augment and policy.image_size is None:
         raise ConfigError(
             [f"augment=true changes images, but policy {options.policy!r} reads none"]

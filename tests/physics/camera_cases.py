@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rlco.envs import TabletopEnv, make_env, make_robosuite
 from rlco.errors import RenderingError
 from rlco.physics.rendering.camera import check_rendering
+from rlco.physics.rendering.raster import Channels
 from rlco.physics.robosuite.tabletop import Tabletop
 from rlco.physics.spec.domain import Domain
 from rlco.physics.spec.sensors import Sensors
@@ -65,3 +66,29 @@ def coloured(frame: NDArray[np.uint8], channel: int) -> NDArray[np.bool_]:
     pixels = frame.astype(float)
     rest = np.delete(pixels, channel, axis=0).max(axis=0)
     return pixels[channel] > 1.5 * rest + 20.0
+
+
+class Truth:
+    """Which geom each pixel shows, and how far it is, by MuJoCo and OpenGL."""
+
+    def __init__(self, model: mujoco.MjModel, size: tuple[int, int]) -> None:
+        self._renderer = mujoco.Renderer(model, *size)
+        self._options = mujoco.MjvOption()
+        self._options.geomgroup[0] = 0
+        self._options.sitegroup[:] = 0
+
+    def agrees(self, data: mujoco.MjData, channels: Channels) -> NDArray[np.bool_]:
+        """Return where the geom is equal, or the depth within 1 mm."""
+        renderer = self._renderer
+        renderer.enable_segmentation_rendering()
+        renderer.update_scene(data, "agentview", self._options)
+        geoms = renderer.render()[..., 0].copy()
+        renderer.disable_segmentation_rendering()
+        renderer.enable_depth_rendering()
+        renderer.update_scene(data, "agentview", self._options)
+        depth = renderer.render().copy()
+        renderer.disable_depth_rendering()
+        return (geoms == channels.geom) | (np.abs(depth - channels.depth) < 1e-3)
+
+    def close(self) -> None:
+        self._renderer.close()

@@ -1,8 +1,8 @@
 """``effects.yaml``: what a simulator lacks, as a file that people can read and edit.
 
 It is also a domain file, see `rlco.physics.spec.domain.read_domain`. A file with a
-sample of parameter sets has version 3, one with sensors alone version 2, all others
-version 1.
+look or a sample of parameter sets has version 3, another one with sensors version 2,
+all others version 1.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from rlco.physics.effects.effect import AppliedEffect
 
 VERSION = 1
 WITH_SENSORS = 2  # the version of files with sensors
-WITH_SAMPLE = 3  # and of files with a sample
-_VERSIONS = (VERSION, WITH_SENSORS, WITH_SAMPLE)
-_TOP = ("version", "effects", "names", "sensors", "sample")
+NEWEST = 3  # the version of files with a look or a sample
+_VERSIONS = (VERSION, WITH_SENSORS, NEWEST)
+_TOP = ("version", "effects", "names", "sensors", "look", "sample")
 _KEYS = {"name", "target", "parameters", "units"}
 _HEAD = """\
 # What a simulator lacks: make_env(task, domain="effects.yaml") has it.
@@ -45,6 +45,7 @@ class EffectsFile:
         names: From a target's name to its name in another model, where the two differ
             by more than robosuite's prefixes.
         sensors: The file's entry on sensors, unchanged; None: no entry.
+        look: The file's entry on the look, or its name, unchanged; None: no entry.
         sample: The file's entry on parameter sets, unchanged; None: no entry. See
             `rlco.physics.spec.sample.sample_of`.
     """
@@ -52,6 +53,7 @@ class EffectsFile:
     effects: tuple[AppliedEffect, ...]
     names: Mapping[str, str] = field(default_factory=dict)
     sensors: Mapping[str, Any] | None = None
+    look: Mapping[str, Any] | str | None = None
     sample: Mapping[str, Any] | None = None
 
     def renamed(self) -> tuple[AppliedEffect, ...]:
@@ -71,6 +73,7 @@ def write_effects(
     names: Mapping[str, str] | None = None,
     units: Mapping[str, Mapping[str, str]] | None = None,
     sensors: Mapping[str, Any] | None = None,
+    look: Mapping[str, Any] | str | None = None,
     sample: Mapping[str, Any] | None = None,
 ) -> None:
     """Write effects.
@@ -81,6 +84,7 @@ def write_effects(
         names: See `EffectsFile`.
         units: By effect and parameter, for readers of the file.
         sensors: Entry on sensors; None: no entry.
+        look: Entry on the look, or its name; None: no entry.
         sample: Entry on parameter sets; None: no entry.
 
     Example:
@@ -99,12 +103,14 @@ def write_effects(
             row["units"] = dict(found)
         rows.append(row)
     version = VERSION if sensors is None else WITH_SENSORS
+    version = version if look is None and sample is None else NEWEST
     content = {"version": version, "effects": rows, "names": dict(names or {})}
     if sensors is not None:
         content["sensors"] = dict(sensors)
+    if look is not None:
+        content["look"] = look if isinstance(look, str) else dict(look)
     head = _HEAD
     if sample is not None:
-        content["version"] = WITH_SAMPLE
         content["sample"] = dict(sample)
         head += _SAMPLE_HEAD
     text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
@@ -130,7 +136,7 @@ def read_effects(path: str | Path) -> EffectsFile:
     if content.get("version", VERSION) not in _VERSIONS:
         raise DataError(
             f"effects file {str(path)!r} has version {shown(content['version'])}; "
-            f"versions {VERSION} to {WITH_SAMPLE} are read, so let the gap workflow "
+            f"versions {VERSION} to {NEWEST} are read, so let the gap workflow "
             "write it again."
         )
     for key in content:
@@ -152,13 +158,19 @@ def read_effects(path: str | Path) -> EffectsFile:
             f"sensors of effects file {str(path)!r} are {shown(sensors)}; give a map "
             "from names to numbers."
         )
+    look = content.get("look")
+    if look is not None and not isinstance(look, dict | str):
+        raise DataError(
+            f"the look of effects file {str(path)!r} is {shown(look)}; give the name "
+            "of a look, or a map from names to values."
+        )
     sample = content.get("sample")
     if sample is not None and not isinstance(sample, dict):
         raise DataError(
             f"the sample of effects file {str(path)!r} is {shown(sample)}; give a map "
             "with columns and rows."
         )
-    return EffectsFile(rows, names, sensors, sample)
+    return EffectsFile(rows, names, sensors, look, sample)
 
 
 def _effect(path: Path, number: int, row: Any) -> AppliedEffect:

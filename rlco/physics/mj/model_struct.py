@@ -116,6 +116,29 @@ class ModelValues:
         model_type().from_address(model._address).stat = self.statistics
 
 
+#: The headlight's colours, as if they were an array of the model: ambient, diffuse and
+#: specular light, (3, 3).
+HEADLIGHT = "headlight"
+_COLOURS = ("ambient", "diffuse", "specular")
+
+
+def get_array(model: mujoco.MjModel, name: str) -> NDArray[Any]:
+    """Return a model's array of that name, or its `HEADLIGHT`."""
+    if name == HEADLIGHT:
+        return np.stack([getattr(model.vis.headlight, c) for c in _COLOURS])
+    array: NDArray[Any] = getattr(model, name)
+    return array
+
+
+def set_array(model: mujoco.MjModel, name: str, value: NDArray[Any]) -> None:
+    """Write a whole model's array of that name, or its `HEADLIGHT`."""
+    if name == HEADLIGHT:
+        for colour, row in zip(_COLOURS, value, strict=True):
+            getattr(model.vis.headlight, colour)[:] = row
+    else:
+        getattr(model, name)[:] = value
+
+
 class ModelCopy:
     """A model's struct, with its own arrays where `set_array` was called.
 
@@ -149,6 +172,11 @@ class ModelCopy:
 
     def set_array(self, name: str, value: NDArray[Any]) -> None:
         """Give the copy its own array of that name, with this value."""
+        if name == HEADLIGHT:
+            # Part of the struct itself, not behind a pointer.
+            for colour, row in zip(_COLOURS, value, strict=True):
+                getattr(self._struct.vis.headlight, colour)[:] = row.tolist()
+            return
         if name not in self.arrays:
             self.arrays[name] = getattr(self._model, name).copy()
             setattr(self._struct, name, address_of(self.arrays[name]))
@@ -167,9 +195,11 @@ class ModelCopy:
         """Adopt another model's statistics, which scale MuJoCo's solver."""
         self._struct.stat = model_type().from_address(model._address).stat
 
-    def give_statistics(self, model: mujoco.MjModel) -> None:
-        """Write the copy's statistics into a whole model."""
-        model_type().from_address(model._address).stat = self._struct.stat
+    def give_values(self, model: mujoco.MjModel) -> None:
+        """Write the copy's statistics and headlight into a whole model."""
+        struct = model_type().from_address(model._address)
+        struct.stat = self._struct.stat
+        struct.vis.headlight = self._struct.vis.headlight
 
 
 def reserve_memory(model: mujoco.MjModel, size: int) -> None:

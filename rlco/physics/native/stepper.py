@@ -124,6 +124,12 @@ class NativeStepper:
         """Run a compiled loop over `count` worlds, in the threads that step them."""
         self.worlds.run_over(kernel, count, *arguments)
 
+    def patch(
+        self, which: NDArray[np.int64], values: Mapping[str, NDArray[Any]]
+    ) -> None:
+        """Give worlds their own values of arrays that only drawing reads, unchecked."""
+        self.worlds.patch_model(which, values, derive=False)
+
     @property
     def data(self) -> list[mujoco.MjData]:
         """MuJoCo's state of each world."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlco.errors import RlcoError, UnknownNameError
+from rlco.physics.mj.model_struct import HEADLIGHT, get_array
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -18,7 +19,7 @@ Integers = NDArray[np.int64]
 # converts (trees, the boxes around geoms used to find contacts, flags such as "the
 # frame of its body" or "has limits"), and limits of commands, which the controller has
 # read.
-PATCHABLE = tuple(
+_PATCHABLE = (
     f"{kind}_{name}"
     for kind, names in {
         "body": "pos quat mass inertia",
@@ -26,15 +27,18 @@ PATCHABLE = tuple(
         "dof": "armature damping frictionloss solref solimp",
         "geom": "friction solmix solref solimp rgba",
         "site": "rgba",
-        "cam": "pos quat fovy",
-        "light": "pos dir ambient diffuse specular attenuation cutoff exponent",
-        "mat": "rgba emission specular shininess reflectance",
+        "cam": "pos quat fovy sensorsize intrinsic",
+        "light": "active type pos dir ambient diffuse specular attenuation cutoff "
+        "exponent",
+        "mat": "rgba emission specular shininess reflectance texid texrepeat "
+        "texuniform",
         "eq": "solref solimp",
         "tendon": "stiffness damping armature frictionloss rgba",
         "actuator": "gainprm biasprm gear",
     }.items()
     for name in names.split()
 )
+PATCHABLE = (*_PATCHABLE, HEADLIGHT)
 # Arrays that must not be negative, and those that must not be zero unless they are.
 _NOT_NEGATIVE = (
     "body_mass",
@@ -50,6 +54,8 @@ _NOT_NEGATIVE = (
     "tendon_frictionloss",
 )
 _POSITIVE = ("body_mass", "body_inertia")
+# Indices and kinds, which are whole numbers from and below.
+_LIGHT_KINDS = 3  # a spot, a direction, a point; not MuJoCo's fourth, an image
 
 
 def check_threads(threads: int | None) -> None:
@@ -136,7 +142,7 @@ def _checked(model: mujoco.MjModel, name: str, given: Any, rows: int) -> NDArray
                 f"is compiled, or give one of {', '.join(PATCHABLE)}."
             )
         raise UnknownNameError("array of mjModel", name, PATCHABLE)
-    own = getattr(model, name)
+    own = get_array(model, name)
     value = _numbers(name, given)
     if value.shape not in (own.shape, (rows, *own.shape)):
         raise RlcoError(
@@ -151,7 +157,43 @@ def _checked(model: mujoco.MjModel, name: str, given: Any, rows: int) -> NDArray
         )
     if name.endswith("rgba") and ((value < 0.0) | (value > 1.0)).any():
         raise RlcoError(f"{name} has values outside [0, 1]; give shares of a colour.")
+    _check_drawn(model, name, value)
     return np.broadcast_to(value, (rows, *own.shape))
+
+
+def _check_drawn(model: mujoco.MjModel, name: str, value: Array) -> None:
+    """Refuse values by which a renderer would read or divide wrongly.
+
+    Raises:
+        RlcoError: If one is out of range.
+    """
+    whole = {"mat_texid": (-1, model.ntex - 1), "light_type": (0, _LIGHT_KINDS - 1)}
+    if name in whole:
+        low, high = whole[name]
+        if ((value < low) | (value > high) | (value != np.floor(value))).any():
+            raise RlcoError(
+                f"{name} has values that are none of the model's; give whole numbers "
+                f"from {low} to {high}."
+            )
+    if name == "cam_fovy" and ((value <= 0.0) | (value >= 180.0)).any():
+        raise RlcoError("cam_fovy has values outside (0, 180); give degrees inside.")
+    if name == "cam_intrinsic" and (value[..., :2] <= 0.0).any():
+        raise RlcoError("cam_intrinsic has focal lengths of 0; give more than 0.")
+    if name == "cam_sensorsize" and (value < 0.0).any():
+        raise RlcoError("cam_sensorsize has negative values; give 0 or more.")
+
+
+def is_derived_from(name: str) -> bool:
+    """Return whether MuJoCo derives other quantities from an array of the model.
+
+    Example:
+        >>> is_derived_from("body_mass"), is_derived_from("light_diffuse")
+        (True, False)
+    """
+    if name.endswith(("_pos", "_quat", "_dir")):
+        return True  # also of cameras and lights that follow a body
+    drawn = name.startswith(("mat_", "light_", "cam_")) or name == HEADLIGHT
+    return not (drawn or name.endswith("rgba"))
 
 
 def checked_gains(

@@ -22,6 +22,7 @@ from rlco.physics.native.world_checks import (
     checked_fields,
     checked_gains,
     checked_worlds,
+    is_derived_from,
 )
 from rlco.physics.native.world_memory import FIELDS, Memory
 from rlco.physics.robosuite.drawn_models import DrawnModels
@@ -237,8 +238,9 @@ class Worlds:
             which: Indices of worlds, shape (R,), each once.
             fields: Arrays of the model by MuJoCo's name (``body_mass``), of the
                 model's shape, or with a leading axis (R,) of one value per world; those
-                of `world_checks.PATCHABLE`. Quantities that MuJoCo derives from them
-                (``mj_setConst``) are updated.
+                of `world_checks.PATCHABLE`, among them ``headlight``, its ambient,
+                diffuse and specular colour (3, 3). Quantities that MuJoCo derives from
+                them (``mj_setConst``) are updated.
             stiffness: The controller's: a number, one per world (R,), or one per axis,
                 broadcast to (R, D). Damping keeps its ratio to critical damping where
                 it is not given.
@@ -263,7 +265,8 @@ class Worlds:
         damp = checked_gains("damping", damping, count, axes, zero=True)
         delay = checked_delay(command_delay, count)
         if values:
-            self.patch_model(rows, values, derive=True)
+            derive = any(map(is_derived_from, values))
+            self.patch_model(rows, values, derive=derive)
         self._set_gains(rows, stiff, damp)
         if delay is not None:
             self._set_delay(rows, delay)
@@ -344,7 +347,7 @@ class Worlds:
             getattr(model, name)[:] = getattr(self.model, name)
         for name, value in own.arrays.items():
             getattr(model, name)[:] = value
-        own.give_statistics(model)
+        own.give_values(model)
         self._compiled_arrays = set(own.arrays)
         return self._compiler
 

@@ -150,12 +150,19 @@ class Camera:
                 mujoco.mjtCatBit.mjCAT_ALL,
                 self._scene,
             )
-        pixels = gl.run(self._draw)
+        # A sensor's height counts; its width is that of the frame, never stretched.
+        for eye in self._scene.camera:
+            eye.frustum_width = 0.0
+        pixels = gl.run(self._draw, model)
         # OpenGL counts rows from below.
         return np.ascontiguousarray(pixels[::-1].transpose(2, 0, 1))
 
-    def _draw(self) -> NDArray[np.uint8]:
+    def _draw(self, model: mujoco.MjModel) -> NDArray[np.uint8]:
         height, width = self._size
+        # The context keeps what it read of materials when it was made.
+        for name in ("mat_texid", "mat_texrepeat", "mat_texuniform"):
+            value = getattr(model, name)
+            getattr(self._context, name).reshape(-1)[: value.size] = value.ravel()
         view = mujoco.MjrRect(0, 0, width, height)
         pixels = np.empty((height, width, 3), dtype=np.uint8)
         mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self._context)

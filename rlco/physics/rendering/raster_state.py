@@ -194,8 +194,9 @@ def _read_camera(
         lens = floats(pointer_at(model + offsets[_INTRINSIC]) + 16 * camera, 4)
         per_meter = height / sensor[1]
         row[FOCAL], row[FOCAL + 1] = lens[0] * per_meter, lens[1] * per_meter
-        row[CENTER] += lens[2] * per_meter
-        row[CENTER + 1] += lens[3] * per_meter
+        # As in MuJoCo, the principal point moves the sensor, and the image against it.
+        row[CENTER] -= lens[2] * per_meter
+        row[CENTER + 1] -= lens[3] * per_meter
     else:
         fovy = doubles(pointer_at(model + offsets[_FOVY]) + 8 * camera, 1)[0]
         # Rounded, because mathematical libraries differ in the last bit.

@@ -92,22 +92,25 @@ def frames_of(
     image_size: tuple[int, int],
     *,
     renderer: Renderer,
+    name: str = "agentview",
     quality: Quality = "fast",
 ) -> Frames:
     """Return what renders the frames of a stepper's worlds; see `make_camera`."""
     check_renderer(renderer, quality)
     if renderer == "raster":
-        return _RasterFrames(stepper, image_size)
-    return _GLFrames(stepper, image_size, quality)
+        return _RasterFrames(stepper, image_size, name)
+    return _GLFrames(stepper, image_size, name, quality)
 
 
 class _RasterFrames:
     """Frames by `RasterCamera`, in the threads that step the worlds."""
 
-    def __init__(self, stepper: Stepper, image_size: tuple[int, int]) -> None:
+    def __init__(
+        self, stepper: Stepper, image_size: tuple[int, int], name: str
+    ) -> None:
         self._stepper = stepper
         count = len(stepper.data)
-        self._camera = RasterCamera(stepper.model, image_size, num_envs=count)
+        self._camera = RasterCamera(stepper.model, image_size, name, num_envs=count)
         self._sources = self._camera.sources(stepper.model_addresses, stepper.data)
 
     def draw(self, which: NDArray[np.int64], images: NDArray[np.uint8]) -> None:
@@ -121,10 +124,14 @@ class _GLFrames:
     """Frames by `Camera`, one after the other."""
 
     def __init__(
-        self, stepper: Stepper, image_size: tuple[int, int], quality: Quality
+        self,
+        stepper: Stepper,
+        image_size: tuple[int, int],
+        name: str,
+        quality: Quality,
     ) -> None:
         self._stepper = stepper
-        self._camera = Camera(stepper.model, image_size, quality=quality)
+        self._camera = Camera(stepper.model, image_size, name, quality)
 
     def draw(self, which: NDArray[np.int64], images: NDArray[np.uint8]) -> None:
         for env in which.tolist():

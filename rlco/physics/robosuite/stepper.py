@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import mujoco
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from rlco.errors import SimulationError
 from rlco.physics.effects.corrected_model import Given
+from rlco.physics.mj.model_struct import set_array
 from rlco.physics.spec.domain import GivenDomain, make_domain, with_effects
 from rlco.physics.spec.stepper import TOO_LARGE, OnDivergence, check_actions
 from rlco.physics.spec.task import Array, InitialState, SceneState, Task
@@ -95,6 +96,14 @@ class RobosuiteStepper:
     ) -> None:
         """Run a compiled loop over `count` environments, one after the other."""
         kernel(0, count, *arguments)
+
+    def patch(
+        self, which: NDArray[np.int64], values: Mapping[str, NDArray[Any]]
+    ) -> None:
+        """Give worlds their own values of arrays that only drawing reads, unchecked."""
+        for row, number in enumerate(which.tolist()):
+            for name, value in values.items():
+                set_array(self.model_of(number), name, value[row])
 
     def reset(
         self,

@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from rlco.physics.effects.effects_file import EffectsFile
+from rlco.physics.mj.model_struct import set_array
 from rlco.physics.rendering.camera import move_camera
 from rlco.physics.robosuite.check_objects import check_objects
 from rlco.physics.robosuite.effect_sim import ControllerSim, EffectSim, initialize_with
@@ -22,7 +23,9 @@ from rlco.physics.robosuite.robosuite_api import (
     TableArena,
     load_composite_controller_config,
 )
+from rlco.physics.robosuite.scene_look import SceneLook, add_to_scene
 from rlco.physics.spec.domain import Domain
+from rlco.physics.spec.look import Look
 from rlco.physics.spec.task import Array, InitialState, SceneState, Task
 
 TABLE_SIZE = (0.8, 0.8, 0.05)
@@ -93,6 +96,7 @@ class Tabletop(ManipulationEnv):
         self.objects = self.task.make_objects(self.domain, self.variation)
         check_objects(self.task, self.objects, self.variation)
         self.model = ManipulationTask(arena, [model], self.objects)
+        add_to_scene(self.model, self.domain.look)
         # Marks move between episodes without changes of the compiled model.
         first = len(self.task.objects)
         last = first + len(self.task.goals)
@@ -111,6 +115,11 @@ class Tabletop(ManipulationEnv):
         # Images agree with the reported positions.
         sensors = self.domain.sensors
         move_camera(self.sim.model._model, sensors.camera_yaw, sensors.camera_shift)
+        look = self.domain.look
+        if isinstance(look, Look) and look.changes_scene:
+            scene = SceneLook(self.sim.model._model)
+            for name, value in scene.fields(look).items():
+                set_array(self.sim.model._model, name, value)
 
     def _setup_references(self) -> None:
         super()._setup_references()

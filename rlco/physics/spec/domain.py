@@ -1,11 +1,12 @@
 """Domains: differences between the simulator and the place where a policy will run.
 
-A `Domain` is data: physical effects and sensor errors. ``sim`` is the simulator that a
-user would build. ``stand_in`` is a second simulator that takes the robot's part where
-no robot is available: no measurement in it is from a robot. Its parameters were chosen
-from typical real set-ups before any policy was trained, and are not tuned to results.
-``locked`` is a third simulator with other values of the same kinds, for final tables
-alone: nothing is chosen by success in it. The gap workflow writes a domain file.
+A `Domain` is data: physical effects, sensor errors and a look. ``sim`` is the
+simulator that a user would build. ``stand_in`` is a second simulator that takes the
+robot's part where no robot is available: no measurement in it is from a robot. Its
+parameters were chosen from typical real set-ups before any policy was trained, and are
+not tuned to results. ``locked`` is a third simulator with other values of the same
+kinds, for final tables alone: nothing is chosen by success in it. The gap workflow
+writes a domain file.
 """
 
 from __future__ import annotations
@@ -14,13 +15,24 @@ import os
 from dataclasses import dataclass, field, replace
 from math import prod
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from rlco.errors import DataError, RlcoError, UnknownNameError
 from rlco.physics.effects import AppliedEffect
 from rlco.physics.effects.apply import library_effect
 from rlco.physics.effects.corrected_model import Given, given_effects
 from rlco.physics.effects.effects_file import read_effects, write_effects
+from rlco.physics.spec.look import Look
+from rlco.physics.spec.look_file import content_of_look, look_of
+from rlco.physics.spec.look_ranges import LookRanges
+from rlco.physics.spec.looks import (
+    LOCKED_LOOK,
+    LOOKS,
+    RANDOM,
+    STAND_IN_LOOK,
+    GivenLook,
+    make_look,
+)
 from rlco.physics.spec.own import of_module
 from rlco.physics.spec.robot import PANDA
 from rlco.physics.spec.sample import Sample, sample_of
@@ -38,6 +50,7 @@ class Domain:
             task while it is built; all others act on its model, commands and encoders.
             If two set the same parameter, the later one counts.
         sensors: Sensor errors.
+        look: How its images look; `LookRanges` draw a look for each episode.
         sample: Parameter sets that are about as believable as the effects' own numbers;
             None: none. Episodes draw them where they are asked to, see `drawing`.
 
@@ -53,6 +66,7 @@ class Domain:
     name: str
     effects: tuple[AppliedEffect, ...] = ()
     sensors: Sensors = field(default_factory=Sensors)
+    look: Look | LookRanges = field(default_factory=Look)
     sample: Sample | None = None
 
     def __post_init__(self) -> None:
@@ -124,6 +138,19 @@ def with_effects(domain: Domain, effects: Given) -> Domain:
     return replace(domain, effects=(*domain.effects, *file.renamed()))
 
 
+def with_look(domain: Domain, look: GivenLook | None) -> Domain:
+    """Return a domain with another look; None: its own.
+
+    Args:
+        domain: The domain.
+        look: See `rlco.physics.spec.looks.make_look`.
+
+    Raises:
+        UnknownNameError: If there is no look of that name.
+    """
+    return domain if look is None else replace(domain, look=make_look(look))
+
+
 def _everywhere(
     name: str, joints: tuple[str, ...], **numbers: float
 ) -> tuple[AppliedEffect, ...]:
@@ -164,6 +191,7 @@ STAND_IN = Domain(
         tool_offset=0.006,
         gripper_offset=0.0015,
     ),
+    STAND_IN_LOOK,
 )
 
 # Another robot than `STAND_IN`: the same kinds of effects and errors, all with other
@@ -198,6 +226,7 @@ LOCKED = Domain(
         tool_offset=-0.004,
         gripper_offset=-0.001,
     ),
+    LOCKED_LOOK,
 )
 
 DOMAINS = {domain.name: domain for domain in (SIM, STAND_IN, LOCKED)}
@@ -284,7 +313,7 @@ def _own_domain(text: str) -> Domain:
 def read_domain(path: str | Path) -> Domain:
     """Return the domain that a file describes, named by the file's stem.
 
-    Sensors missing in the file are those of ``sim``.
+    Sensors and a look missing in the file are those of ``sim``.
 
     Raises:
         DataError: If the file cannot be read, has another form, or has the name of one
@@ -299,14 +328,22 @@ def read_domain(path: str | Path) -> Domain:
         )
     file = read_effects(path)
     sensors = sensors_of(file.sensors or {}, repr(str(path)))
+    look: Look | LookRanges = Look()
+    if isinstance(file.look, str):
+        look = make_look(file.look)
+    elif file.look is not None:
+        look = look_of(file.look, f"the look of {str(path)!r}")
     sample = None
     if file.sample is not None:
         sample = sample_of(file.sample, file.effects, repr(str(path)))
-    return Domain(name, file.renamed(), sensors, sample)
+    return Domain(name, file.renamed(), sensors, look, sample)
 
 
 def write_domain(path: str | Path, domain: Domain) -> None:
-    """Write a domain's effects, sensors and sample; its name becomes the file's stem.
+    """Write a domain's effects, sensors, look and sample; the file's stem is its name.
+
+    Raises:
+        RlcoError: If its look is of ranges of yours, which a file cannot hold.
 
     Example:
         >>> import tempfile
@@ -316,7 +353,17 @@ def write_domain(path: str | Path, domain: Domain) -> None:
         True
     """
     sensors = None if domain.sensors == Sensors() else content_of(domain.sensors)
+    look: dict[str, Any] | str | None = None
+    if isinstance(domain.look, LookRanges):
+        if domain.look != LOOKS[RANDOM]:
+            raise RlcoError(
+                f"the look of domain {domain.name!r} is of ranges of your own, which a "
+                f"file cannot hold; give look={RANDOM!r}, or MODULE:NAME of the domain."
+            )
+        look = RANDOM
+    elif domain.look != Look():
+        look = content_of_look(domain.look)
     sample = None
     if domain.sample is not None:
         sample = sample_content(domain.sample, domain.effects)
-    write_effects(path, domain.effects, sensors=sensors, sample=sample)
+    write_effects(path, domain.effects, sensors=sensors, look=look, sample=sample)

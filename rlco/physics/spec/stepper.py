@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Literal, Protocol
 
@@ -36,6 +36,17 @@ class Stepper(Protocol):
         self, kernel: Callable[..., None], count: int, *arguments: Any
     ) -> None:
         """Run a compiled loop, ``kernel(first, last, *arguments)``, over [0, count)."""
+
+    def patch(
+        self, which: NDArray[np.int64], values: Mapping[str, NDArray[Any]]
+    ) -> None:
+        """Give worlds their own values of arrays that only drawing reads, unchecked.
+
+        Args:
+            which: Indices of worlds, shape (R,).
+            values: By `rlco.physics.mj.model_struct.get_array`'s names, of the model's
+                shape with a leading axis (R,).
+        """
 
     @property
     def data(self) -> Sequence[object]:

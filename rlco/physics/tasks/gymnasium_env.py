@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import logging
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -15,17 +17,22 @@ from rlco.errors import RlcoError, SimulationError, UnknownNameError
 from rlco.physics.effects import load_code
 from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.native.world_checks import check_native
-from rlco.physics.rendering.camera import Camera, Quality, check_quality
+from rlco.physics.rendering.camera import Quality
+from rlco.physics.rendering.renderers import check_renderer
 from rlco.physics.robosuite.stepper import RobosuiteStepper
 from rlco.physics.spec.actions import ActionRange
-from rlco.physics.spec.domain import Domain, GivenDomain, make_domain
+from rlco.physics.spec.domain import Domain, GivenDomain, make_domain, with_look
+from rlco.physics.spec.looks import GivenLook
+from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.observation import noise_size, observe
 from rlco.physics.spec.task import SceneState, Task
 from rlco.physics.tasks.make_task import make_task
 from rlco.physics.tasks.variations import check_variation_of, domain_in
+from rlco.physics.tasks.views import Views, check_cameras
 
 ObservationKind = Literal["state", "pixels_agent_pos"]
-Observation = dict[str, NDArray[Any]]
+Observation = dict[str, Any]  # arrays, or a map of cameras to arrays
+_ONE = np.zeros(1, np.int64)  # the only world
 _logger = logging.getLogger(__name__)
 _CHOICES = {
     "backend": ("native", "robosuite"),
@@ -40,7 +47,8 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
 
     Observations have the names that LeRobot reads: ``agent_pos`` (S,) is the robot's
     state, ``environment_state`` (E,) the objects as a camera would report them,
-    ``pixels`` (height, width, 3) a camera frame. An action has A values in [-1, 1].
+    ``pixels`` (height, width, 3) a camera frame, or one of each of several cameras by
+    its name. An action has A values in [-1, 1].
     ``info`` contains ``is_success``, whether the task is solved in this very state,
     ``instruction_id`` and ``diverged``. The attribute `task_description` is the
     episode's instruction, and `instructions` lists all there are.
@@ -70,7 +78,11 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         obs_type: ``state`` gives ``agent_pos`` and ``environment_state``,
             ``pixels_agent_pos`` gives ``pixels`` and ``agent_pos``.
         image_size: Height and width of observed and of rendered frames [pixels].
-        image_quality: ``fast`` or ``robosuite``, see `Camera`.
+        image_quality: Of ``opengl``: ``fast`` or ``robosuite``, see
+            `rlco.physics.rendering.camera.Camera`.
+        renderer: ``opengl`` or ``raster``, as in `rlco.envs.make_env`.
+        cameras: Names of the cameras whose frames are observed; the first is rendered.
+        look: How frames look, as in `rlco.envs.make_env`; None: as the domain says.
         terminate_on_success: End an episode, as ``terminated``, when it is solved.
         render_mode: ``rgb_array``, or None.
         effects_code: Python file that registers effects of your own.
@@ -110,6 +122,9 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         obs_type: ObservationKind = "state",
         image_size: tuple[int, int] = (128, 128),
         image_quality: Quality = "fast",
+        renderer: Renderer = "opengl",
+        cameras: Sequence[str] = ("agentview",),
+        look: GivenLook | None = None,
         terminate_on_success: bool = False,
         render_mode: Literal["rgb_array"] | None = None,
         effects_code: str | Path | None = None,
@@ -121,18 +136,25 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "render_mode": render_mode,
         }
         _check(given, horizon, image_size)
-        check_quality(image_quality)
+        check_renderer(renderer, image_quality)
+        check_cameras(cameras)
         images = render_mode is not None or obs_type == "pixels_agent_pos"
-        if image_quality != "fast" and not images:
-            raise RlcoError(
-                f"image_quality={image_quality!r} is of no use without images; give "
-                "render_mode='rgb_array' or obs_type='pixels_agent_pos'."
-            )
+        for name, value, plain in (
+            ("image_quality", image_quality, "fast"),
+            ("renderer", renderer, "opengl"),
+            ("cameras", tuple(cameras), ("agentview",)),
+            ("look", look, None),
+        ):
+            if value != plain and not images:
+                raise RlcoError(
+                    f"{name}={value!r} is of no use without images; give "
+                    "render_mode='rgb_array' or obs_type='pixels_agent_pos'."
+                )
         check_native(backend, threads=None, exact=exact)
         load_code(effects_code)
         self._task = make_task(task)
         check_variation_of(self._task, variation)
-        self._domain = domain_in(make_domain(domain), variation)
+        self._domain = with_look(domain_in(make_domain(domain), variation), look)
         self.task = self._task.name
         self.instructions = self._task.instructions
         self.task_description = self.instructions[0]
@@ -152,10 +174,17 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._diverged = False
         self._last_observation: Observation = {}
         self._image_size = image_size
-        self._image: NDArray[np.uint8] = np.zeros((*image_size, 3), np.uint8)
-        self._camera: Camera | None = None
+        self._cameras = tuple(cameras)
+        self._views: Views | None = None
         if images:
-            self._camera = Camera(self.stepper.model, image_size, quality=image_quality)
+            self._views = Views(
+                self.stepper,
+                self._domain.look,
+                image_size,
+                cameras=cameras,
+                renderer=renderer,
+                quality=image_quality,
+            )
         self._seed: int | None = None
         self._episode = 0
         self._elapsed = 0
@@ -175,8 +204,10 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             count = len(self._task.environment_state_names)
             parts["environment_state"] = numbers(count)
         else:
-            shape = (*self._image_size, 3)
-            parts["pixels"] = spaces.Box(0, 255, shape, np.uint8)
+            frame = spaces.Box(0, 255, (*self._image_size, 3), np.uint8)
+            several = len(self._cameras) > 1
+            named = spaces.Dict(dict.fromkeys(self._cameras, frame))
+            parts["pixels"] = named if several else frame
         return spaces.Dict(parts)
 
     def reset(
@@ -198,6 +229,8 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         noise = np.random.default_rng([self._seed, episode, 1])
         self._noise[:] = noise.standard_normal(self._noise.shape)
         self._episode, self._elapsed, self._diverged = episode + 1, 0, False
+        if self._views is not None:
+            self._views.start(_ONE, self._seed, [episode])
         state = self.stepper.reset([start]).at(0)
         self.task_description = self.instructions[int(state.instruction_id)]
         return self._observe(), self._info(state)
@@ -240,9 +273,7 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         self.divergences += not self._diverged
         self._diverged = True
         info = {**self._info(last), "is_success": False, "diverged": True}
-        observation = {
-            name: value.copy() for name, value in self._last_observation.items()
-        }
+        observation = copy.deepcopy(self._last_observation)
         return observation, 0.0, False, True, info
 
     def _observe(self) -> Observation:
@@ -254,8 +285,9 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self._obs_type == "state":
             out["environment_state"] = environment.astype(np.float32)
         else:
-            out["pixels"] = self._frame()
-        self._last_observation = {name: value.copy() for name, value in out.items()}
+            frames = self._frames()
+            out["pixels"] = frames if len(frames) > 1 else frames[self._cameras[0]]
+        self._last_observation = copy.deepcopy(out)
         return out
 
     def _info(self, state: SceneState) -> dict[str, Any]:
@@ -266,24 +298,26 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             "diverged": False,
         }
 
-    def _frame(self) -> NDArray[np.uint8]:
-        if self._camera is None:
+    def _frames(self) -> dict[str, NDArray[np.uint8]]:
+        """Return the current frame of each camera, (height, width, 3)."""
+        if self._views is None:
             raise RlcoError("the environment is closed; make a new one to render.")
-        if not self._diverged:  # otherwise the last image, as there is no valid pose
-            data, model = self.stepper.data[0], self.stepper.model_of(0)
-            frame = self._camera.frame(data, model=model)
-            self._image = np.ascontiguousarray(frame.transpose(1, 2, 0))
-        return self._image.copy()
+        if not self._diverged:  # otherwise the last images, as there is no valid pose
+            self._views.draw(_ONE, np.array([self._elapsed]))
+        return {
+            name: frames[0].transpose(1, 2, 0).copy()
+            for name, frames in self._views.images.items()
+        }
 
     def render(self) -> NDArray[np.uint8] | None:
-        """Return the current frame (height, width, 3), or None without a mode."""
-        return None if self.render_mode is None else self._frame()
+        """Return the first camera's frame (height, width, 3); None without a mode."""
+        return None if self.render_mode is None else self._frames()[self._cameras[0]]
 
     def close(self) -> None:
-        """Free the camera."""
-        if self._camera is not None:
-            self._camera.close()
-            self._camera = None
+        """Free what was kept to render."""
+        if self._views is not None:
+            self._views.close()
+            self._views = None
 
 
 def _stepper(

@@ -10,8 +10,7 @@ import mujoco
 import numpy as np
 import pytest
 import torch
-from camera_cases import NEEDS_GL, SHIFT, YAW
-from numpy.typing import NDArray
+from camera_cases import NEEDS_GL, SHIFT, YAW, Truth
 
 from rlco.envs import TabletopEnv, make_env
 from rlco.errors import RlcoError, UnknownNameError
@@ -160,6 +159,9 @@ def test_a_frame_never_shows_another_worlds_state() -> None:
             {
                 "mat_rgba": rng.uniform(0.2, 1.0, stepper.model.mat_rgba.shape),
                 "light_diffuse": rng.uniform(0, 1, stepper.model.light_diffuse.shape),
+                "mat_texid": rng.permutation(stepper.model.mat_texid),
+                "cam_fovy": stepper.model.cam_fovy + rng.uniform(-3, 3),
+                "headlight": rng.uniform(0, 0.5, (3, 3)),
             },
         )
         which = rng.permutation(5)[: rng.integers(1, 6)]
@@ -216,37 +218,11 @@ def test_both_backends_draw_the_same_start() -> None:
 # -- Against MuJoCo's own renderer --------------------------------------------------
 
 
-class Truth:
-    """Which geom each pixel shows, and how far it is, by MuJoCo and OpenGL."""
-
-    def __init__(self, model: mujoco.MjModel) -> None:
-        self._renderer = mujoco.Renderer(model, *SIZE)
-        self._options = mujoco.MjvOption()
-        self._options.geomgroup[0] = 0
-        self._options.sitegroup[:] = 0
-
-    def agrees(self, data: mujoco.MjData, channels: Channels) -> NDArray[np.bool_]:
-        """Return where the geom is equal, or the depth within 1 mm."""
-        renderer = self._renderer
-        renderer.enable_segmentation_rendering()
-        renderer.update_scene(data, "agentview", self._options)
-        geoms = renderer.render()[..., 0].copy()
-        renderer.disable_segmentation_rendering()
-        renderer.enable_depth_rendering()
-        renderer.update_scene(data, "agentview", self._options)
-        depth = renderer.render().copy()
-        renderer.disable_depth_rendering()
-        return (geoms == channels.geom) | (np.abs(depth - channels.depth) < 1e-3)
-
-    def close(self) -> None:
-        self._renderer.close()
-
-
 def shares(task: str, episodes: int, rounds: int) -> Iterator[float]:
     """Yield the share of pixels on which both renderers agree, of many states."""
     env = played(task, episodes, 1, seed=13)
     model = env.stepper.model
-    camera, truth = RasterCamera(model, SIZE), Truth(model)
+    camera, truth = RasterCamera(model, SIZE), Truth(model, SIZE)
     state = env.reset()
     for _ in range(rounds):
         for data in env.stepper.data:
