@@ -11,6 +11,7 @@ from rlco.collectors.advantages import Advantage
 from rlco.collectors.rollouts import RolloutCollector
 from rlco.envs import make_env
 from rlco.physics.tasks.named_task import training_horizon
+from rlco.training.ranks import Ranks
 
 
 class CollectorOptions(Protocol):
@@ -51,6 +52,7 @@ def make_collector(
     renderer: Literal["raster", "opengl"] = "opengl",
     backend: Literal["native", "robosuite"] = "native",
     prepare: Callable[[TensorDictBase], None] | None = None,
+    ranks: Ranks | None = None,
 ) -> RolloutCollector:
     """Return a collector that plays in the options' simulator.
 
@@ -63,6 +65,7 @@ def make_collector(
         renderer: What draws these images.
         backend: Who steps the model.
         prepare: See `RolloutCollector`.
+        ranks: See `RolloutCollector`; the options are those of one of them.
     """
     env = make_env(
         options.task,
@@ -85,4 +88,5 @@ def make_collector(
         advantage=options.advantage,
         group_size=options.group_size,
         prepare=prepare,
+        ranks=ranks,
     )
