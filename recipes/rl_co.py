@@ -4,6 +4,7 @@
     uv run recipes/rl_co.py policy=outputs/sft/RUN/policy real_coeff=0   # RL alone
     uv run recipes/rl_co.py ... train_domain=gap_report/effects.yaml
     uv run recipes/rl_co.py ... real_coeff=0 keep=best    # stopped where sim was best
+    uv run torchrun --nproc-per-node=2 recipes/rl_co.py ... launch=torchrun
 
 L = L_PPO(sim) + beta L_BC(D_real), beta = real_coeff, in every minibatch of every
 epoch, each with freshly drawn real rows (RL-Co, arXiv 2602.12628, Stage II).
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from rlco.physics.spec.domain import Domain
     from rlco.policies import ChunkPolicy
     from rlco.reporting.statistics import ResultRow
+    from rlco.training.following import FollowingRun
+    from rlco.training.ranks import Ranks
     from rlco.training.stage_two import StageTwoDemos
 
 log = logging.getLogger("rlco.rl_co")
@@ -30,10 +33,13 @@ def main(config: Config) -> None:
     """Load, train, and say how it went."""
     from rlco.evaluation import evaluation_domains
     from rlco.physics.effects import load_code
+    from rlco.training.following import FollowingRun
     from rlco.training.kept_policy import check_keep
+    from rlco.training.launch import check_launch, learners
     from rlco.training.stage_two import load_stage_two
 
     # What is wrong shows before a folder is made.
+    check_launch(config)
     load_code(config.effects_code)
     given = {
         "task": config.task,
@@ -46,23 +52,31 @@ def main(config: Config) -> None:
     final = evaluation_domains(evaluated=last, **given)
     check_keep(config, domains)
     policy, demos = load_stage_two(config)
-    with Run(config, "rl_co") as run:
-        run.save_results(train(config, run, policy, demos, domains, final))
-        log.info("policy: %s", run.path / "policy")
+    with learners(config) as ranks:
+        if not ranks.leads:
+            with FollowingRun(config) as following:
+                train(config, following, policy, demos, {}, {}, ranks)
+            return
+        with Run(config, "rl_co") as run:
+            rows = train(config, run, policy, demos, domains, final, ranks)
+            run.save_results(rows)
+            log.info("policy: %s", run.path / "policy")
 
 
 def train(
     config: Config,
-    run: Run,
+    run: Run | FollowingRun,
     policy: ChunkPolicy,
     demos: StageTwoDemos,
     domains: dict[str, Domain],
     final: dict[str, Domain],
+    ranks: Ranks,
 ) -> list[ResultRow]:
     """Train, evaluate now and then, and save the policy to the folder ``policy``.
 
     With ``keep=best`` the last policy is saved, too, to ``policy_last``. It is
-    evaluated in ``domains`` on the way, and in ``final`` at the end.
+    evaluated in ``domains`` on the way, and in ``final`` at the end. Of several ranks
+    the first evaluates and saves.
 
     Returns:
         What each saved policy reaches.
@@ -74,6 +88,7 @@ def train(
     from rlco.training.held_out import HeldOut
     from rlco.training.iterations import co_train
     from rlco.training.kept_policy import best_policy
+    from rlco.training.launch import own_options
     from rlco.training.stage_two import (
         fix_pose_range,
         make_critic,
@@ -84,15 +99,19 @@ def train(
 
     critic = make_critic(config, policy)
     real = demos.real if config.real_coeff > 0 else None
+    # Several ranks need the networks inside the loss, which find them there.
+    functional = ranks.alone
     loss = CoTrainingLoss(
-        make_ppo(policy, critic, clip=config.clip),
-        None if real is None else ImitationLoss(policy),
+        make_ppo(policy, critic, clip=config.clip, functional=functional),
+        None if real is None else ImitationLoss(policy, functional=functional),
         real_coeff=config.real_coeff,
     )
-    rows = rollout_rows(config, policy.chunk)
-    learner = make_learner(config, loss, policy, critic, real, rows=rows)
+    own = own_options(config, ranks)
+    rows = rollout_rows(own, policy.chunk)
+    learner = make_learner(own, loss, policy, critic, real, rows=rows, ranks=ranks)
+    run.step = ranks.from_lead(run.step)
     collector = make_collector(
-        config,
+        own,
         policy,
         critic,
         backend=config.backend,
@@ -100,7 +119,8 @@ def train(
         image_size=policy.image_size,
         renderer=policy.renderer,
         look=config.look,
-        prepare=fix_pose_range(critic, policy) if run.step is None else None,
+        prepare=fix_pose_range(critic, policy, ranks) if run.step is None else None,
+        ranks=ranks,
     )
     episodes = config.eval_episodes
     envs = evaluation_envs(
@@ -111,7 +131,8 @@ def train(
         **read_by(policy),
     )
     best = best_policy(config, policy)
-    held_out = HeldOut(policy, demos.heldout)  # before a checkpoint is loaded
+    # Before a checkpoint is loaded.
+    held_out = HeldOut(policy, demos.heldout if ranks.leads else None)
     if run.step is None:
         before = success_rates(policy, envs, episodes, 0)
         before |= held_out.measure(policy)
@@ -126,12 +147,15 @@ def train(
         check_first=check_signal,
         best=best,
         measure=config.evaluates,
+        ranks=ranks,
     ):
         row |= held_out.measure(policy)
         if config.evaluates(iteration):
             row |= success_rates(policy, envs, episodes, iteration)
     extra = {"real_coeff": config.real_coeff, **collector.env.task.description()}
     collector.close()
+    if not ranks.leads:
+        return []
     folder = "policy" if best is None else "policy_last"
     save_policy(policy, run.path / folder, extra=extra)
     method = "rl_co" if config.real_coeff > 0 else "rl_only"

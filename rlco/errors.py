@@ -98,6 +98,10 @@ class NonFiniteError(RlcoError):
     """Numbers of a training that are NaN or infinite; nothing goes on from them."""
 
 
+class LostProcessError(RlcoError):
+    """Another process of a training has ended; what was saved is there."""
+
+
 class RenderingError(RlcoError):
     """No OpenGL library to render with."""
 

@@ -10,21 +10,28 @@ from torchrl.objectives.llm import MCAdvantage
 
 from rlco import keys
 from rlco.errors import NoSignalError
+from rlco.training.ranks import Ranks
 
 #: By a critic and GAE, or by Monte-Carlo returns within groups, without a critic.
 Advantage = Literal["gae", "mc"]
 
 
-def normalize(advantage: torch.Tensor, broken: torch.Tensor) -> torch.Tensor:
+def normalize(
+    advantage: torch.Tensor, broken: torch.Tensor, ranks: Ranks | None = None
+) -> torch.Tensor:
     """Give a rollout's advantages mean 0 and deviation 1; broken decisions get 0.
 
     Args:
         advantage: (N, T, 1).
         broken: where the simulation diverged, bool, (N, T, 1).
+        ranks: Processes that learn together: mean and deviation are over the rollouts
+            of all of them.
     """
-    sound = advantage[~broken]
+    ranks = Ranks() if ranks is None else ranks
+    sound = ranks.joined(advantage)[~ranks.joined(broken)]
     scaled = (advantage - sound.mean()) / (sound.std() + 1e-5)
-    return scaled.masked_fill(broken, 0.0)
+    normalized: torch.Tensor = scaled.masked_fill(broken, 0.0)
+    return normalized
 
 
 def group_advantages(rollout: TensorDictBase, group_size: int) -> torch.Tensor:

@@ -11,6 +11,7 @@ from rlco.collectors.advantages import Advantage
 from rlco.collectors.rollouts import RolloutCollector
 from rlco.envs import make_env
 from rlco.physics.tasks.named_task import training_horizon
+from rlco.training.ranks import Ranks
 
 
 class CollectorOptions(Protocol):
@@ -54,6 +55,7 @@ def make_collector(
     backend: Literal["native", "robosuite"] = "native",
     look: str | None = None,
     prepare: Callable[[TensorDictBase], None] | None = None,
+    ranks: Ranks | None = None,
 ) -> RolloutCollector:
     """Return a collector that plays in the options' simulator.
 
@@ -67,6 +69,7 @@ def make_collector(
         backend: Who steps the model.
         look: How images look, see `make_env`; None: as the domain says.
         prepare: See `RolloutCollector`.
+        ranks: See `RolloutCollector`; the options are those of one of them.
     """
     env = make_env(
         options.task,
@@ -91,4 +94,5 @@ def make_collector(
         advantage=options.advantage,
         group_size=options.group_size,
         prepare=prepare,
+        ranks=ranks,
     )

@@ -22,6 +22,7 @@ from rlco.envs import check_action_units
 from rlco.envs.chunk_env import ChunkEnv
 from rlco.errors import ConfigError, DataError
 from rlco.policies import ValueHead
+from rlco.training.ranks import Ranks
 
 _NEEDED = ("start_at", "start_in_groups", "horizon", "chunk")
 
@@ -54,6 +55,8 @@ class RolloutCollector:
         group_size: Episodes of a group; "mc" alone has groups.
         prepare: Called with each rollout before GAE, to add what the critic reads and
             the environment does not show.
+        ranks: The processes that learn together, of which each collects: other episodes
+            than the others, those that one with all environments would play.
 
     Raises:
         ConfigError: "gae" without a critic, groups of one episode, or an environment
@@ -85,11 +88,13 @@ class RolloutCollector:
         advantage: Advantage = "gae",
         group_size: int = 8,
         prepare: Callable[[TensorDictBase], None] | None = None,
+        ranks: Ranks | None = None,
     ) -> None:
         _check_env(env)
         check_action_units(policy, env)
         _check(critic, advantage, group_size)
         self._prepare = prepare
+        self._ranks = Ranks() if ranks is None else ranks
         self._finite = FiniteRollout((policy, critic))
         self.env = env
         self.group_size = group_size if advantage == "mc" else 1
@@ -120,7 +125,7 @@ class RolloutCollector:
 
     @property
     def frames(self) -> int:
-        """Control steps of one rollout, summed over environments."""
+        """Control steps of one rollout of this process, summed over environments."""
         return int(self.env.batch_size.numel()) * self.env.horizon
 
     def collect(self, iteration: int) -> TensorDictBase:
@@ -135,7 +140,7 @@ class RolloutCollector:
             NonFiniteError: a reward, an observation, an action or a value is NaN or
                 infinite.
         """
-        self.env.start_at(iteration)
+        self.env.start_at(iteration * self._ranks.count + self._ranks.rank)
         self._finite.iteration = iteration
         watched = impatient(lambda: self._finite.decision, f"rollout {iteration}")
         with watched, set_exploration_type(ExplorationType.RANDOM):
@@ -163,7 +168,8 @@ class RolloutCollector:
             broken, rollout[keys.STATE_VALUE], rollout[keys.VALUE_TARGET]
         )
         rollout.set(keys.VALUE_TARGET, value)
-        return rollout.set(keys.ADVANTAGE, normalize(rollout[keys.ADVANTAGE], broken))
+        advantage = normalize(rollout[keys.ADVANTAGE], broken, self._ranks)
+        return rollout.set(keys.ADVANTAGE, advantage)
 
     def _add_time_left(self, rollout: TensorDictBase) -> None:
         """Tell the critic how long an episode goes on; after its end nothing follows.

@@ -99,6 +99,10 @@ class SimRealReplayBuffer:
         self._generator.manual_seed(seed)
         self._split.carry = 0
 
+    def reseed(self, seed: int) -> None:
+        """Draw from a seed from now on; what a batch carried to the next one stays."""
+        self._generator.manual_seed(seed)
+
     def sample(self, batch_size: int | None = None) -> TensorDict:
         """Draw a batch by the members' own samplers.
 

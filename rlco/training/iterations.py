@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rlco import keys
+from rlco.training.ranks import Ranks
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -16,6 +17,11 @@ if TYPE_CHECKING:
     from rlco.training.run_protocols import Collector, TrainingRun
 
 Row = dict[str, Any]
+#: What a rollout is judged by.
+_PLAYED = (
+    keys.ADVANTAGE,
+    *(("next", key) for key in (keys.REWARD, keys.SUCCESS, keys.DIVERGED)),
+)
 
 
 class LoopOptions(Protocol):
@@ -41,6 +47,7 @@ def co_train(
     check_first: Callable[[TensorDictBase], None],
     best: BestPolicy | None = None,
     measure: Callable[[int], bool] = lambda iteration: False,
+    ranks: Ranks | None = None,
 ) -> Iterator[tuple[int, Row]]:
     """Collect and learn, and yield the row of metrics.csv of each iteration.
 
@@ -55,24 +62,30 @@ def co_train(
         check_first: Checks the first rollout before anything is learned from it.
         measure: In which iterations the anchor is compared with PPO's mean gradient.
         best: Is offered each row and lies in each checkpoint, where there is one.
+        ranks: The processes that learn together, all of which run this loop; None: this
+            one alone. Rows and checks are of the rollouts of all.
 
     Yields:
         The iteration, counted from 1, and its row: frames so far, return and success
         of the rollout, and what the learner reports.
     """
-    if (saved := run.load_checkpoint()) is not None:
+    ranks = Ranks() if ranks is None else ranks
+    if (saved := ranks.from_lead(run.load_checkpoint())) is not None:
         learner.load(saved)
         if best is not None:
             best.load(saved["best"])
     alone = options.critic_iterations if learner.critic is not None else 0
     for iteration in run.iterations(options.iterations):
         started = time.perf_counter()
+        learner.draw_own(iteration)
         learner.anneal((iteration - 1) / options.iterations)
         rollout = collector.collect(iteration)
         collected = time.perf_counter()
+        played = ranks.joined(rollout.select(*_PLAYED, strict=False))
         if iteration == 1:
-            check_first(rollout)
-        row = {"frames": iteration * collector.frames, **_played(rollout)}
+            check_first(played)
+        frames = collector.frames * ranks.count
+        row = {"frames": iteration * frames, **_played(played)}
         # Every minibatch of every epoch draws its real rows anew.
         row |= learner.update(
             rollout,
@@ -89,7 +102,7 @@ def co_train(
                 "collect": collected - started,
                 "learn": learned - collected,
                 "evaluate": time.perf_counter() - learned,
-                "frames_per_second": collector.frames / (learned - started),
+                "frames_per_second": frames / (learned - started),
             },
         )
         state = learner.state()

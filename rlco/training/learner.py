@@ -20,9 +20,13 @@ from rlco.losses.gradient_agreement import gradient_agreement
 from rlco.losses.gradient_signal import LEAST_GROUPS, gradient_signal
 from rlco.losses.log_probs import log_probs
 from rlco.training.anchor_weight import AnchorWeight
+from rlco.training.joint_loss import JointLoss
+from rlco.training.ranks import Ranks
 
 #: Clip of the critic's gradient norm: it cuts off outliers and nothing else.
 CRITIC_GRAD_NORM = 10.0
+#: Numbers of an update of which the largest counts, not the mean.
+LARGEST = ("log_prob_gap", "first_ratio")
 #: Groups of episodes whose gradients tell signal from noise.
 GROUPS = 8
 #: Demonstrated rows, at most, whose gradient is the anchor's.
@@ -56,6 +60,8 @@ class Learner:
             room for them.
         anchor: Adapts the anchor's weight after each rollout that moved the policy;
             None: it stays as the loss was built.
+        ranks: Which of the processes this is that learn together, each from rollouts
+            and real rows of its own. Their weights stay equal to the last bit.
     """
 
     policy: Any
@@ -70,8 +76,23 @@ class Learner:
     lr_final: float = 1.0
     reuse: int = 0
     anchor: AnchorWeight | None = None
+    ranks: Ranks = field(default_factory=Ranks)
+    _joint: CoTrainingLoss | JointLoss = field(init=False)
     _earlier: list[TensorDictBase] = field(default_factory=list, init=False)
     _updates: int = field(default=0, init=False)
+
+    def __post_init__(self) -> None:
+        joint = None if self.ranks.alone else JointLoss(self.loss, self.ranks)
+        self._joint = self.loss if joint is None else joint
+
+    def draw_own(self, rollout: int) -> None:
+        """Let this rank's actions and real rows be its own, those of one rollout.
+
+        A process alone goes on as it was.
+        """
+        self.ranks.draw_own(rollout)
+        if (seed := self.ranks.own_seed(rollout)) is not None:
+            self.buffer.reseed(seed)
 
     def anneal(self, done: float) -> None:
         """Set the learning rates to those of a point of the training.
@@ -110,7 +131,8 @@ class Learner:
                 which takes about as long as one pass.
 
         Returns:
-            Means over the minibatches of what the loss reports; ``epochs``, the passes
+            Means over the minibatches, of all ranks, of what the loss reports;
+            ``epochs``, the passes
             that were made; ``forgotten`` and ``real_coeff`` where the anchor's weight
             is adapted; ``reuse_weight``, the mean weight of what is learned from
             again, if anything is; ``log_prob_gap``, how far the rollout's own
@@ -135,7 +157,7 @@ class Learner:
             for batch in self.buffer:
                 if minibatches == 0 and keys.REAL in batch:
                     row |= gradient_agreement(self.loss, batch)
-                out = self.loss(batch)
+                out = self._joint(batch)
                 if minibatches == 0:
                     row["first_ratio"] = float(out["max_ratio"])
                 self._step(out, train_policy=train_policy)
@@ -145,12 +167,29 @@ class Learner:
                 if limit is not None:
                     divergences.append(float(out["kl_approx"].detach()))
             row["epochs"] = epoch
-            if limit is not None and fmean(divergences) > limit:
+            if limit is not None and self._divergence(divergences) > limit:
                 break
         self._check_weights()
         if self.anchor is not None and train_policy:
             row |= self.anchor.adapt(self.loss)
-        return row | {name: total / minibatches for name, total in sums.items()}
+            # The same on all ranks, unless their processors round differently.
+            self.loss.real_coeff = self.ranks.from_lead(float(self.loss.real_coeff))
+        row |= {name: total / minibatches for name, total in sums.items()}
+        return self._of_all(row)
+
+    def _divergence(self, divergences: Sequence[float]) -> float:
+        """Return a pass's mean KL divergence over all ranks: they stop together."""
+        return self.ranks.mean({"kl": fmean(divergences)})["kl"]
+
+    def _of_all(self, row: dict[str, float]) -> dict[str, float]:
+        """Return what all ranks' numbers come to; counts are the same on all."""
+        most = {name: row[name] for name in LARGEST if name in row}
+        others = {
+            name: value
+            for name, value in row.items()
+            if name not in most and not isinstance(value, int)
+        }
+        return row | self.ranks.mean(others) | self.ranks.largest(most)
 
     def _store(self, rollout: TensorDictBase) -> dict[str, float]:
         """Put a rollout into the buffer, with the learner's own log-probability."""
@@ -247,7 +286,8 @@ class Learner:
         }
         state["buffer"] = self.buffer.state_dict(rows=False)
         if self.reuse:
-            state["earlier"] = [dict(one.flatten_keys("/")) for one in self._earlier]
+            every = [self.ranks.joined(one) for one in self._earlier]
+            state["earlier"] = [dict(one.flatten_keys("/")) for one in every]
         if self.anchor is not None:
             state["real_coeff"] = float(self.loss.real_coeff)
         return state
@@ -259,10 +299,11 @@ class Learner:
         self.buffer.load_state_dict(state["buffer"])
         if self.anchor is not None:
             self.loss.real_coeff = state["real_coeff"]
-        self._earlier = [
+        earlier = [
             TensorDict(one, [len(one["/".join(keys.LOG_PROB)])]).unflatten_keys("/")
             for one in state.get("earlier", ())
         ]
+        self._earlier = [self.ranks.own(one) for one in earlier]
 
     def _parts(self) -> dict[str, Any]:
         names = ("policy", "critic", "actor_optimizer", "critic_optimizer")

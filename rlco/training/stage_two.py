@@ -11,6 +11,7 @@ from rlco import keys
 from rlco.errors import ConfigError
 from rlco.runs.config import REQUIRED, folder_name, option
 from rlco.runs.indices import index_list
+from rlco.training.launch import LaunchOptions
 from rlco.training.policy_options import (
     LARGEST_LR,
     AugmentOptions,
@@ -28,13 +29,14 @@ if TYPE_CHECKING:
     from rlco.losses import CoTrainingLoss
     from rlco.policies import ChunkPolicy
     from rlco.training.learner import Learner
+    from rlco.training.ranks import Ranks
 
 
 log = logging.getLogger("rlco.training")
 
 
 @dataclass
-class StageTwoOptions(AugmentOptions):
+class StageTwoOptions(LaunchOptions, AugmentOptions):
     """Options of Stage II."""
 
     name: str = option(
@@ -330,8 +332,12 @@ def make_critic(options: StageTwoOptions, policy: ChunkPolicy) -> Any:
     return critic
 
 
-def fix_pose_range(critic: Any, policy: ChunkPolicy) -> Callable[[Any], None] | None:
+def fix_pose_range(
+    critic: Any, policy: ChunkPolicy, ranks: Ranks | None = None
+) -> Callable[[Any], None] | None:
     """Return what fixes a critic's range of poses by the first rollout it is given.
+
+    Of several ranks it is the range of all their rollouts.
 
     None where no critic reads poses, or the policy has brought their range: one that
     reads images alone knows none. What the first rollout fixes is in all checkpoints.
@@ -345,7 +351,10 @@ def fix_pose_range(critic: Any, policy: ChunkPolicy) -> Callable[[Any], None] | 
         from rlco.data import exact_quantiles
 
         for one in waiting:
-            quantiles = exact_quantiles(rollout[pose].flatten(0, 1).numpy())
+            poses = rollout[pose].flatten(0, 1)
+            if ranks is not None:
+                poses = ranks.joined(poses)
+            quantiles = exact_quantiles(poses.numpy())
             one.set_normalization(environment_state=quantiles)
         waiting.clear()
 
@@ -385,6 +394,7 @@ def make_learner(
     real: DemoReplayBuffer | None,
     *,
     rows: int,
+    ranks: Ranks | None = None,
 ) -> Learner:
     """Return what follows the loss: minibatches of rollouts, and an optimiser each.
 
@@ -395,6 +405,7 @@ def make_learner(
         critic: Its critic, None with critic-free advantages.
         real: The anchor's demonstrations; None without one.
         rows: Decisions of a rollout.
+        ranks: The processes that learn together, of which the options are one's.
     """
     import torch
     from torchrl.data import LazyTensorStorage, ReplayBuffer
@@ -402,6 +413,7 @@ def make_learner(
     from rlco.data import SimRealReplayBuffer
     from rlco.training.anchor_weight import AnchorWeight
     from rlco.training.learner import Learner
+    from rlco.training.ranks import Ranks
 
     limit = options.forget_limit
     anchor = None
@@ -429,4 +441,5 @@ def make_learner(
         lr_final=options.lr_final,
         reuse=options.reuse,
         anchor=anchor,
+        ranks=Ranks() if ranks is None else ranks,
     )

@@ -79,6 +79,7 @@ ELSEWHERE = {
     "uv build --wheel": "tests/test_cli.py",
     "uv run tensorboard --logdir outputs": "a server",
     "uv run scripts/": "a network, or figures",
+    "uv run torchrun ": "tests/recipes/test_rl_co_launch.py, without torchrun itself",
     "uv run benchmarks/": "hours; tests/benchmarks",
     "pip ": "a network",
     "unzip ": "what a network gave",

@@ -16,7 +16,11 @@ from rlco.training import Learner
 
 
 def make_learner(
-    *, critic: bool = True, anchored: bool = True, **options: Any
+    *,
+    critic: bool = True,
+    anchored: bool = True,
+    functional: bool = True,
+    **options: Any,
 ) -> Learner:
     """Return a learner of minibatches of 8 decisions and, anchored, 4 real rows."""
     torch.manual_seed(0)
@@ -28,13 +32,14 @@ def make_learner(
         value if critic else None,
         entropy_bonus=False,
         critic_coeff=1.0 if critic else None,
+        functional=functional,
     )
     return Learner(
         policy,
         value if critic else None,
         CoTrainingLoss(
             ppo,
-            ImitationLoss(policy) if anchored else None,
+            ImitationLoss(policy, functional=functional) if anchored else None,
             real_coeff=0.2 if anchored else 0.0,
         ),
         SimRealReplayBuffer(

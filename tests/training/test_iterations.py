@@ -58,6 +58,9 @@ class Diary:
     def state(self) -> str:
         return "state"
 
+    def draw_own(self, rollout: int) -> None:
+        pass  # a process alone draws as it did
+
     def anneal(self, done: float) -> None:
         self.happened.append(("annealed", done))
 

@@ -1,0 +1,131 @@
+"""Where Stage II runs: in this process, or in several that learn together."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Literal, Protocol
+
+from rlco.errors import ConfigError
+from rlco.runs.config import RunOptions, option
+
+if TYPE_CHECKING:
+    from rlco.training.ranks import Ranks
+
+_START = "torchrun --nproc-per-node=2 recipes/rl_co.py launch=torchrun ..."
+
+
+@dataclass
+class LaunchOptions(RunOptions):
+    """Options that say where a training runs."""
+
+    launch: Literal["local", "torchrun"] = option(
+        "local",
+        "where it runs: this process, or the learners that torchrun has started, "
+        "between which num_envs, minibatch and real_rows are divided",
+        may_change=True,
+    )
+
+
+class DividedOptions(Protocol):
+    """Options whose numbers are of all ranks together."""
+
+    launch: Literal["local", "torchrun"]
+    num_envs: int
+    minibatch: int
+    real_rows: int
+    advantage: Literal["gae", "mc"]
+    group_size: int
+    seed: int
+
+
+def check_launch(options: DividedOptions) -> None:
+    """Check that a training was started as its options say, and can be divided so.
+
+    Raises:
+        ConfigError: It was not; every problem is reported.
+    """
+    started = started_by_torchrun()
+    problems = []
+    if options.launch == "torchrun" and started is None:
+        problems.append(
+            f"launch=torchrun needs what torchrun tells its processes; start {_START}"
+        )
+    if options.launch != "torchrun" and started is not None:
+        problems.append(
+            f"torchrun has started {started} processes, and launch={options.launch} "
+            "would train the same in each; give launch=torchrun, or start without "
+            "torchrun"
+        )
+    learning = (started or 1) if options.launch == "torchrun" else 1
+    problems += _undivided(options, learning)
+    if problems:
+        raise ConfigError(problems)
+
+
+def started_by_torchrun() -> int | None:
+    """Return how many processes torchrun has started; None where it started none."""
+    if "TORCHELASTIC_RUN_ID" not in os.environ:
+        return None
+    return int(os.environ["WORLD_SIZE"])
+
+
+def _undivided(options: DividedOptions, learning: int) -> list[str]:
+    """Return what cannot be divided between learners."""
+    problems = [
+        f"{name}={value} cannot be divided between {learning} learners; give a multiple"
+        for name in ("num_envs", "minibatch", "real_rows")
+        if (value := getattr(options, name)) % learning
+    ]
+    own = options.num_envs // learning
+    grouped = options.advantage == "mc" and learning > 1
+    if not problems and grouped and own % options.group_size:
+        problems.append(
+            f"num_envs={options.num_envs} gives each of {learning} learners {own} "
+            f"episodes, and group_size={options.group_size} does not divide these; "
+            "give a multiple"
+        )
+    return problems
+
+
+def own_options[C: DividedOptions](options: C, ranks: Ranks) -> C:
+    """Return a rank's own part of options that are of all ranks together.
+
+    Example:
+        >>> from rlco.training.ranks import Ranks
+        >>> from rlco.training.stage_two import StageTwoOptions
+        >>> options = StageTwoOptions(policy="policy", num_envs=32)
+        >>> own_options(options, Ranks(rank=1, count=4)).num_envs
+        8
+    """
+    divided = ("num_envs", "minibatch", "real_rows")
+    parts = {name: getattr(options, name) // ranks.count for name in divided}
+    return replace(options, **parts)  # type: ignore[type-var]
+
+
+@contextmanager
+def learners(options: DividedOptions) -> Iterator[Ranks]:
+    """Connect this process with those that learn with it, where there are any.
+
+    Raises:
+        LostProcessError: One of them ended before the others.
+    """
+    from rlco.training.ranks import Ranks, join_ranks, leave_ranks, lost_rank
+
+    if options.launch != "torchrun":
+        yield Ranks(seed=options.seed)
+        return
+    ranks = join_ranks(options.seed)
+    if not ranks.leads:  # they would say what the first says
+        logging.getLogger("rlco").setLevel(logging.WARNING)
+    try:
+        yield ranks
+    except RuntimeError as error:
+        if (lost := lost_rank(error)) is None:
+            raise
+        raise lost from error
+    finally:
+        leave_ranks()
