@@ -101,11 +101,15 @@ def closed(folder: Path) -> Row:
     ]
     row: Row = {"name": folder.name, "before": answer(first), "motion": None}
     if motions:
-        motion, commands = motions[0]
-        more = recorded(folder, motion, commands, log.actuators)
+        more = [
+            part
+            for motion, commands in motions
+            for part in recorded(folder, motion, commands, log.actuators)
+        ]
         both = Log((*log.recordings, *more), log.joints, log.actuators)
         second = find_gap(make_problem(loaded, both))
-        row |= {"motion": motion.name, "after": answer(second)}
+        names = " and ".join(motion.name for motion, _ in motions)
+        row |= {"motion": names, "after": answer(second)}
         row["exact"] = judge(row["after"], truth).exact
     return row | {"seconds": round(time.perf_counter() - began, 1)}
 

@@ -1,15 +1,14 @@
-"""Recommend what to record next: the motion on which rivals differ most.
+"""Recommend what to record next: the motions that tell rivals apart, or that none does.
 
 Rivals are effects that fit the log equally well. Each is fitted to the log, and all are
-simulated on motions that the robot could make. A motion is rated by the difference that
-remains when the parameters of one rival may follow the other, in noise floors.
+simulated on motions that the robot could make. Which of these are proposed, see
+`rlco.gap.diagnose.proposals`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 
 import numpy as np
 
@@ -22,18 +21,14 @@ from rlco.gap.compare.problem import (
     Verdict,
 )
 from rlco.gap.compare.servo.bench import ServoBench
-from rlco.gap.compare.wording import title
-from rlco.gap.diagnose.command_file import write_commands
-from rlco.gap.diagnose.motions import KINDS, SECONDS, Kind, Workspace, workspace_of
+from rlco.gap.diagnose.motions import KINDS, Kind, Workspace, workspace_of
+from rlco.gap.diagnose.proposals import Motion as Motion
+from rlco.gap.diagnose.proposals import Trial, proposed
 from rlco.gap.logs.log import Array, Log, Recording
 from rlco.gap.search.fit import fit, library_of, with_values
 from rlco.physics.effects import EFFECTS, AppliedEffect, Parameter
 from rlco.physics.effects.targets import actuated_joint, servo_joints
 
-# Smallest difference in noise floors that is worth a recording: it would raise the
-# error of the wrong rival by a tenth.
-_CLEAR = 0.5
-_PLENTY = 3.0  # difference beyond which more is no better
 _BENCH = (
     "Record the same motions with a heavier and a lighter pendulum and with another "
     "supply voltage, each at a low and at a high gain: a loss, a limit and a gain of "
@@ -43,64 +38,20 @@ _BENCH = (
 _STEP = 0.05  # finite difference of a parameter, as a fraction of its size
 
 
-@dataclass(frozen=True)
-class Motion:
-    """A motion to record.
-
-    Attributes:
-        name: Its name, also that of its folder.
-        how: Instruction in one sentence.
-        tells_apart: The rivals.
-        separation: Smallest difference between two rivals on it, root mean square in
-            noise floors; None where it was not simulated.
-        commands: Goals of the actuators, one row per frame, (T, actuators) [rad or m];
-            None where there is nothing to replay.
-        names: Names of the actuators.
-        fps: Rate of the goals [Hz].
-    """
-
-    name: str
-    how: str
-    tells_apart: tuple[Candidate, ...]
-    separation: float | None = None
-    commands: Array | None = None
-    names: tuple[str, ...] = ()
-    fps: int = 0
-
-    def save(self, out: str | Path) -> dict[str, object]:
-        """Write the commands below ``out/record_next``; return a row for reports."""
-        folder = Path("record_next") / self.name
-        if self.commands is not None:
-            write_commands(
-                Path(out) / folder,
-                self.commands,
-                names=self.names,
-                fps=self.fps,
-                task=self.how,
-            )
-        return {
-            "motion": self.name,
-            "how": self.how,
-            "tells_apart": ", ".join(title(one) for one in self.tells_apart),
-            "noise_floors": None
-            if self.separation is None
-            else round(self.separation, 1),
-            "seconds": SECONDS if self.commands is not None else None,
-            "commands": str(folder) if self.commands is not None else None,
-        }
-
-
 def recommend(problem: Problem, verdict: Verdict) -> list[Motion]:
-    """Return a motion for each class of rivals, and one for joints that hardly moved.
+    """Return motions for each class of rivals, and one for joints that hardly moved.
+
+    Rivals that no motion tells apart have an entry without commands that says so.
 
     Args:
         problem: The robot and its log.
         verdict: The result of the search.
     """
     motions = [
-        _for_rivals(problem, verdict, finding)
+        motion
         for finding in verdict.effects
         if finding.rivals
+        for motion in _for_rivals(problem, verdict, finding)
     ]
     still = _still_joints(problem.log)
     if still or verdict.verdict == "not_identifiable":
@@ -165,44 +116,35 @@ def _varied(
     return out
 
 
-def _for_rivals(problem: Problem, verdict: Verdict, finding: NamedEffect) -> Motion:
+def _for_rivals(
+    problem: Problem, verdict: Verdict, finding: NamedEffect
+) -> list[Motion]:
     named = Candidate(finding.name, finding.target)
     members = (named, *finding.rivals)
     known = [EFFECTS[member.name].by_hand for member in members]
     by_hand = next((how for how in known if how), None)
     servos = set(servo_joints(problem.model))
     if isinstance(problem, ServoBench):
-        return Motion("other_loads", _BENCH, members)
+        return [Motion("other_loads", _BENCH, members)]
     if not isinstance(problem, ArmRollouts) or not servos.issuperset(
         problem.log.joints
     ):
         how = by_hand or "Record faster and slower motion, with rests in between."
-        return Motion(f"after_{finding.name}", how, members)
+        return [Motion(f"after_{finding.name}", how, members)]
     effects = verdict.hypothesis.effects
     rivals = {
         rival: _fitted(problem, verdict, named, rival) for rival in finding.rivals
     }
     workspace = workspace_of(problem.model, problem.log)
-    motions = []
+    trials = []
     for kind in KINDS:
         for columns in _choices(workspace, members):
             goals = kind.make(workspace, columns)
-            apart = separations(_problem_on(problem, workspace, goals), effects, rivals)
-            least = min(apart.values())
-            motions.append(
-                _motion(problem, workspace, kind, columns, goals, members, least)
-            )
-    best = max(motions, key=_rating)
-    if (best.separation or 0.0) < _CLEAR and by_hand:
-        return replace(best, how=f"{best.how} {by_hand}")
-    return best
-
-
-def _rating(motion: Motion) -> tuple[float, float]:
-    """Rate a motion; of those that clearly separate rivals, few joints are better."""
-    apart = motion.separation or 0.0
-    few = not motion.name.endswith("_all")
-    return min(apart, _PLENTY) + (few and apart > _PLENTY), apart
+            other = _problem_on(problem, workspace, goals)
+            motion = _motion(problem, workspace, kind, columns, goals, members, None)
+            apart = separations(other, effects, rivals)
+            trials.append(Trial(motion, apart, len(other.layout.recording)))
+    return proposed(named, finding.rivals, trials, by_hand)
 
 
 def _fitted(

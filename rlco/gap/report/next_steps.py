@@ -8,6 +8,7 @@ from rlco.gap.compare.comparisons import Comparison
 from rlco.gap.compare.problem import Verdict
 from rlco.gap.compare.stability.instability import UNSTABLE
 from rlco.gap.compare.wording import in_words, listed, title
+from rlco.gap.diagnose.proposals import NO_MOTION
 from rlco.gap.report.verdict_text import is_loud
 
 _USE = (
@@ -49,16 +50,29 @@ def next_steps(
         ]
     if not verdict.complete:
         steps.append("Run the search to the end: it was stopped early.")
-    motions = [in_words(str(motion.get("motion", ""))) for motion in record_next]
+    found = [str(motion.get("motion", "")) for motion in record_next]
+    motions = [in_words(name) for name in found if not name.startswith(NO_MOTION)]
+    silent = [
+        str(motion.get("tells_apart", ""))
+        for motion, name in zip(record_next, found, strict=True)
+        if name.startswith(NO_MOTION)
+    ]
     named = f" ({listed(motions)})" if all(motions) and motions else ""
     if verdict.verdict == "ambiguous":
         rivals = {title(rival) for one in verdict.effects for rival in one.rivals}
-        if motions:
+        if motions and not silent:
             steps.append(
                 f"Record what is proposed below{named}: it distinguishes "
                 f"{listed([title(one) for one in verdict.effects if one.rivals])} from "
                 f"{listed(sorted(rivals), 'or')}."
             )
+        elif motions:
+            steps.append(f"Record what is proposed below{named}.")
+        steps += [
+            f"No motion of these joints tells these apart: {one}. Another load, or a "
+            "measurement beside the joints, may."
+            for one in silent
+        ]
         steps.append(
             "Until then the corrected model (model.xml, effects.yaml) is valid for "
             "motion like the recorded one: there, all these explanations agree."

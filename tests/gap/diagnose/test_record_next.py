@@ -19,7 +19,8 @@ from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Candidate, Gap, Hypothesis, NamedEffect, Verdict
 from rlco.gap.diagnose.command_file import write_commands
 from rlco.gap.diagnose.motions import KINDS, Workspace, workspace_of
-from rlco.gap.diagnose.record_next import Motion, recommend, separations
+from rlco.gap.diagnose.proposals import Motion, Trial, proposed
+from rlco.gap.diagnose.record_next import recommend, separations
 from rlco.gap.logs.log import Array, Log, Recording
 from rlco.gap.search.fit import fit, library_of
 from rlco.lerobot_files import read_columns, read_folder
@@ -150,6 +151,59 @@ def test_numbers_that_may_follow_tell_nothing_apart() -> None:
     assert apart[rival] > 1.5
 
 
+A, B, C = (Candidate(name, "elbow") for name in ("backlash", "armature", "payload"))
+NAMED = Candidate("viscous_damping", "elbow")
+
+
+def trial(name: str, *differences: float) -> Trial:
+    """Return a motion of 200 rows with differences from A, B and C."""
+    apart = dict(zip((A, B, C), differences, strict=True))
+    return Trial(Motion(name, name, (), commands=np.zeros((200, 1))), apart, 200)
+
+
+def test_one_motion_is_enough_where_it_tells_all_apart() -> None:
+    # By hand: 200 / 2 * 0.6^2 = 36 nats, beyond the 32 of four deviations.
+    both = trial("both", 0.6, 0.7, 0.8)
+    (motion,) = proposed(NAMED, (A, B, C), [trial("one", 5.0, 0.1, 9.0), both])
+    assert motion.name == "both"
+    assert motion.tells_apart == (NAMED, A, B, C)
+    assert motion.separation == 0.6
+    assert motion.log_bayes == pytest.approx(36.0)
+
+
+def test_two_motions_are_proposed_where_one_cannot() -> None:
+    trials = [trial("x", 2.0, 0.1, 0.1), trial("y", 0.1, 2.0, 0.1), trial("z", 0, 0, 2)]
+    first, second = proposed(NAMED, (A, B), trials)
+    assert (first.name, first.tells_apart) == ("x", (NAMED, A))
+    assert (second.name, second.tells_apart) == ("y", (NAMED, B))
+    # Two halves of what is needed add up: 100 * 0.45^2 = 20 and 20 nats.
+    halves = [trial("x", 0.45, 9.0, 9.0), trial("y", 0.45, 9.0, 8.0)]
+    found = proposed(NAMED, (A, B), halves)
+    assert {motion.name for motion in found} == {"x", "y"}
+
+
+def test_where_no_motion_tells_rivals_apart_that_is_said() -> None:
+    trials = [trial("x", 2.0, 0.1, 0.3), trial("y", 1.0, 0.2, 0.1)]
+    first, nothing = proposed(NAMED, (A, B, C), trials, "Hold a weight.")
+    assert (first.name, first.tells_apart) == ("x", (NAMED, A))
+    assert nothing.name == "no_motion_viscous_damping"
+    assert nothing.tells_apart == (NAMED, B, C)
+    assert nothing.how == "No motion of these joints tells them apart. Hold a weight."
+    assert nothing.commands is None
+    (only,) = proposed(NAMED, (B,), trials)
+    assert only.how == "No motion of these joints tells them apart."
+
+
+@pytest.mark.slow
+def test_what_no_motion_can_tell_apart_is_not_proposed() -> None:
+    # A rival that is the named effect itself, under another number to start from.
+    problem = recorded((DAMPING,), *slow_commands())
+    itself = replace(ambiguous().effects[0], rivals=(NAMED,))
+    (motion,) = recommend(problem, replace(ambiguous(), effects=(itself,)))
+    assert motion.name == "no_motion_viscous_damping"
+    assert motion.save(Path("unused"))["commands"] is None
+
+
 @pytest.mark.slow
 def test_the_motion_tells_rivals_apart_that_the_log_does_not() -> None:
     time, goals = slow_commands()
@@ -220,7 +274,14 @@ def saved(folder: Path) -> tuple[Motion, dict[str, object]]:
     rng = np.random.default_rng(1)
     commands = rng.standard_normal((60, 2))
     motion = Motion(
-        "chirp_elbow", "Swing elbow.", (LAG,), 12.34, commands, ("a.pos", "b.pos"), 30
+        "chirp_elbow",
+        "Swing elbow.",
+        (LAG,),
+        12.34,
+        commands,
+        ("a.pos", "b.pos"),
+        30,
+        1523.4,
     )
     return motion, motion.save(folder)
 
@@ -232,6 +293,7 @@ def test_a_motion_is_saved_as_a_data_set_that_rlco_reads(tmp_path: Path) -> None
         "how": "Swing elbow.",
         "tells_apart": "actuator lag at elbow",
         "noise_floors": 12.3,
+        "log_bayes_factor": 1520.0,
         "seconds": 20.0,
         "commands": "record_next/chirp_elbow",
     }

@@ -26,6 +26,7 @@ from rlco.gap.diagnose.traces import best_stretches, figure_data
 from rlco.gap.diagnose.where import where
 from rlco.gap.report.figures import gap_bars, heat_map, trace_figure
 from rlco.gap.report.free_form import free_form_figure, free_form_section
+from rlco.gap.report.next_steps import next_steps
 from rlco.gap.report.report_html import Page, page
 from rlco.gap.report.report_json import report
 from rlco.gap.report.verdict_text import MEANING, certainty, headline, numbers_of
@@ -272,6 +273,17 @@ def test_what_to_do_now_comes_before_all_figures_in_plain_words(
             "(slow triangle): it distinguishes Coulomb friction at elbow from"
             in read.text
         )
+
+
+def test_what_no_motion_tells_apart_is_not_asked_for(problem: Arm) -> None:
+    verdict = named(problem, "ambiguous")
+    silent = {**MOTION, "motion": "no_motion_backlash", "tells_apart": "this, that"}
+    alone = " ".join(next_steps(verdict, [silent]))
+    assert "No motion of these joints tells these apart: this, that." in alone
+    assert "proposed below" not in alone
+    both = " ".join(next_steps(verdict, [MOTION, silent]))
+    assert "Record what is proposed below (slow triangle)." in both
+    assert "it distinguishes" not in both
 
 
 def test_only_what_is_as_good_is_called_so(problem: Arm) -> None:
