@@ -131,6 +131,34 @@ def test_an_environment_draws_from_its_file_by_its_seed(tmp_path: Path) -> None:
     assert np.abs(one - plain).max() > 1e-2
 
 
+@pytest.mark.slow
+def test_robosuites_own_tasks_draw_alike_in_both_backends() -> None:
+    effects = (EFFECTS["payload"], EFFECTS["command_delay"], EFFECTS["load_friction"])
+    sets = ((1.5, 0.13, 0.1), (0.2, 0.03, 0.3), (0.8, 0.2, 0.0))
+    sample = Sample(((0, "mass"), (1, "delay"), (2, "ratio")), sets)
+    found = []
+    for own in ({"backend": "robosuite"}, {"exact": True}):
+        env = make_env(
+            "robosuite:Lift",
+            domain=Domain("d", effects, sample=sample),
+            sample="posterior",
+            num_envs=2,
+            chunk=4,
+            seed=1,
+            **own,
+        )
+        drawn = [env.parameter_set(index) for index in range(4)]
+        assert drawn[0] != drawn[1]
+        for _ in range(2):
+            env.reset()
+            action = torch.from_numpy(commands(0, 4)).float().expand(2, -1, -1)
+            td = env.step(TensorDict({"action": action}, [2]))
+            found.append(td["next", "observation", "state"].numpy())
+    np.testing.assert_allclose(found[0], found[2], atol=1e-6)
+    np.testing.assert_allclose(found[1], found[3], atol=1e-6)
+    assert np.abs(found[0][0] - found[0][1]).max() > 1e-3
+
+
 def test_episodes_draw_independently_of_how_many_worlds_there_are() -> None:
     light = Domain(
         "light",
