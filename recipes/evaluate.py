@@ -106,6 +106,7 @@ def main(config: Config) -> None:
     with Run(config, "evaluate") as run:
         result = evaluate(policy, env, config.episodes)
         where = domain.name + (f", {config.variation}" if config.variation else "")
+        where += f", look {config.look}" if config.look else ""
         log.info("%s in %s: %s", config.method, where, result)
         row = result.row(
             config.method,
@@ -115,6 +116,8 @@ def main(config: Config) -> None:
             policy=policy.kind,
             variation=config.variation,
         )
+        if config.look:
+            row["look"] = config.look
         run.save_results([row])
         for index in range(config.videos):
             path = run.videos / f"{domain.name}_{index}.mp4"

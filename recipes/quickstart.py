@@ -21,9 +21,9 @@ from rlco.errors import ConfigError, RenderingError, UnknownNameError
 from rlco.run import Run, run_recipe
 from rlco.runs.config import distinct, folder_name, option
 from rlco.training.policy_options import (
-    SIM_CAMERA,
     AugmentOptions,
     PolicyOptions,
+    camera_list,
     group_values,
 )
 from rlco.training.stage_one import StageOneOptions
@@ -195,13 +195,14 @@ def record(config: Config, folder: Path) -> dict[str, str]:
         "heldout": (config.real_domain, config.heldout_demos, 3 * config.seed + 2),
     }
     images = config.image != "none"
+    cameras = camera_list(config.camera)
     for name, (domain, episodes, seed) in plan.items():
         record_once(
             folder / name,
             config.task,
             domain,
             episodes=episodes,
-            camera=SIM_CAMERA if images else None,
+            camera=(cameras if len(cameras) > 1 else config.camera) if images else None,
             image_size=config.image_size if images else None,
             renderer=config.renderer,
             seed=500_000 + seed,  # far from the seeds of rollouts and evaluations
@@ -270,6 +271,7 @@ def reinforce(
             chunk=policy.chunk,
             image_size=policy.image_size,
             renderer=policy.renderer,
+            cameras=policy.cameras,
             prepare=fix_pose_range(critic, policy) if stage.step is None else None,
         )
         episodes = options.eval_episodes

@@ -118,6 +118,7 @@ def train(
         chunk=policy.chunk,
         image_size=policy.image_size,
         renderer=policy.renderer,
+        cameras=policy.cameras,
         look=config.look,
         prepare=fix_pose_range(critic, policy, ranks) if run.step is None else None,
         ranks=ranks,

@@ -307,20 +307,22 @@ def read_by(policy: Any, renderer: str | None = None) -> dict[str, Any]:
     """Return the options of `make_env` for the images that a policy reads.
 
     Args:
-        policy: Has ``image_size``, None where it reads none, and may have ``renderer``.
+        policy: Has ``image_size``, None where it reads none, and may have ``renderer``
+            and ``cameras``.
         renderer: What is to draw them; None: what the policy was trained with.
 
     Example:
         >>> from rlco.policies import GaussianPolicy
         >>> image = {"kind": "conv", "size": (64, 64)}
         >>> read_by(GaussianPolicy(7, chunk=4, image=image))
-        {'image_size': (64, 64), 'renderer': 'opengl'}
+        {'image_size': (64, 64), 'renderer': 'opengl', 'cameras': ('agentview',)}
     """
     size = getattr(policy, "image_size", None)
     if size is None:
         return {"image_size": None}
     trained = getattr(policy, "renderer", "opengl")
-    return {"image_size": size, "renderer": renderer or trained}
+    cameras = getattr(policy, "cameras", ("agentview",))
+    return {"image_size": size, "renderer": renderer or trained, "cameras": cameras}
 
 
 def evaluation_env(
@@ -363,7 +365,8 @@ def record_video(
 ) -> Film:
     """Write one episode as an mp4 video, one frame per decision; return what it shows.
 
-    Of a policy that reads images the video shows those, enlarged.
+    Of a policy that reads images the video shows those, enlarged, of several cameras
+    beside each other.
 
     Args:
         policy: Writes `action`; its most likely action is taken.
@@ -395,8 +398,11 @@ def record_video(
     env.start_at(index)
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         rollout = env.rollout(-(-env.horizon // chunk), policy)
-    first = rollout[keys.IMAGE][0, :1]
-    images = torch.cat([first, rollout["next", *keys.IMAGE][0]])
+    seen = [
+        torch.cat([rollout[key][0, :1], rollout["next", *key][0]])
+        for key in keys.image_keys(drawn.get("cameras", ("agentview",)))
+    ]
+    images = torch.cat(seen, -1)
     times = max(1, image_size[0] // image_read[0]) if image_read else 1
     images = images.repeat_interleave(times, -1).repeat_interleave(times, -2)
     frames = list(images.permute(0, 2, 3, 1).numpy())

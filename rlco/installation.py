@@ -84,6 +84,9 @@ def _rendering() -> str:
     try:
         check_rendering()
     except RenderingError as error:
-        return f"missing: OpenGL, for images and videos; {error}"
+        return (
+            "missing: OpenGL, for videos and renderer=opengl (renderer=raster draws "
+            f"images without); {error}"
+        )
     kind = mujoco.GLContext.__module__.rpartition(".")[-1]
     return f"rendering works, with MUJOCO_GL={kind}"

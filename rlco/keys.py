@@ -11,6 +11,8 @@ delta rotation 3, gripper 1, each in [-1, 1]), ``S`` and ``E`` features.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 # -- What the policy sees ------------------------------------------------------
 OBSERVATION = "observation"
 #: Robot proprioception, float32 [*B, S], in the units that the task's
@@ -18,7 +20,8 @@ OBSERVATION = "observation"
 STATE = ("observation", "state")
 #: Object and goal positions as the camera would report them, float32 [*B, E], [m].
 ENVIRONMENT_STATE = ("observation", "environment_state")
-#: One camera frame, uint8 [*B, C, H, W]; absent where there is no camera.
+#: One camera frame, uint8 [*B, C, H, W]; absent where there is no camera. Several
+#: cameras have one each under it, see `image_keys`.
 IMAGE = ("observation", "image")
 #: Share of the episode that is left, float32 [*B, 1], 1 as it starts and 0 as it ends.
 #: For critics: a policy does not read it, and a robot has none.
@@ -28,6 +31,31 @@ INSTRUCTION = "language_instruction"
 #: The instruction as its index in the task's list of instructions, int64 [*B].
 #: Losses read this one: strings break torch.compile.
 INSTRUCTION_ID = "instruction_id"
+
+
+def image_keys(cameras: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+    """Return the keys of cameras' frames: one alone has no name.
+
+    Example:
+        >>> image_keys(["agentview"])
+        (('observation', 'image'),)
+        >>> image_keys(["agentview", "wrist"])[1]
+        ('observation', 'image', 'wrist')
+    """
+    if len(cameras) == 1:
+        return (IMAGE,)
+    return tuple((*IMAGE, name) for name in cameras)
+
+
+def is_image(key: object) -> bool:
+    """Return whether a key is one of a camera's frames.
+
+    Example:
+        >>> is_image(IMAGE), is_image((*IMAGE, "wrist")), is_image("action")
+        (True, True, False)
+    """
+    return isinstance(key, tuple) and key[: len(IMAGE)] == IMAGE
+
 
 # -- What it does --------------------------------------------------------------
 #: What the environment executes, float32: [*B, A], or [*B, H, A] with chunks.

@@ -1,4 +1,4 @@
-"""Draw docs/figures/raster.png and looks.png: both renderers, and every look.
+"""Draw docs/figures/raster.png, cameras.png and looks.png: renderers and looks.
 
 uv run scripts/draw_renderers.py
 """
@@ -24,19 +24,27 @@ SCENES = (
     ("pick_and_place", "agentview", 6),
     ("open_drawer", "frontview", 6),
 )
+QUALITIES = ("robosuite", "fast")
 CAMERAS = ("agentview", "robot0_eye_in_hand")
 GAP = 4  # white pixels between the frames of looks
 RANDOM = 3  # columns of random looks
 
 
 def main() -> None:
-    """Draw both figures."""
+    """Draw the figures."""
     choose_gl()
     rows = [
         np.concatenate([frame(*scene, renderer=r) for r in ("raster", "opengl")], 1)
         for scene in SCENES
     ]
     imageio.imwrite(FIGURES / "raster.png", enlarged(np.concatenate(rows)))
+    rows = [
+        np.concatenate(
+            [frame(*SCENES[0], domain=d, image_quality=q) for q in QUALITIES], 1
+        )
+        for d in ("sim", "stand_in")
+    ]
+    imageio.imwrite(FIGURES / "cameras.png", enlarged(np.concatenate(rows)))
     imageio.imwrite(FIGURES / "looks.png", enlarged(looks()))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Literal, Protocol
 
 from tensordict import TensorDictBase
@@ -54,6 +54,7 @@ def make_collector(
     renderer: Literal["raster", "opengl"] = "opengl",
     backend: Literal["native", "robosuite"] = "native",
     look: str | None = None,
+    cameras: Sequence[str] = ("agentview",),
     prepare: Callable[[TensorDictBase], None] | None = None,
     ranks: Ranks | None = None,
 ) -> RolloutCollector:
@@ -68,6 +69,7 @@ def make_collector(
         renderer: What draws these images.
         backend: Who steps the model.
         look: How images look, see `make_env`; None: as the domain says.
+        cameras: Names of the cameras whose images the policy reads.
         prepare: See `RolloutCollector`.
         ranks: See `RolloutCollector`; the options are those of one of them.
     """
@@ -83,6 +85,7 @@ def make_collector(
         image_size=image_size,
         renderer=renderer if image_size else "opengl",
         look=look,
+        cameras=cameras if image_size else ("agentview",),
         seed=options.seed,
     )
     return RolloutCollector(

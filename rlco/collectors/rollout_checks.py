@@ -13,7 +13,7 @@ from rlco import keys
 from rlco.errors import NonFiniteError
 from rlco.finite import is_finite
 
-_OBSERVED = (keys.STATE, keys.ENVIRONMENT_STATE, keys.IMAGE)
+_OBSERVED = (keys.STATE, keys.ENVIRONMENT_STATE)
 _POLICY = "the policy gives it, from finite observations: its weights are off, lower lr"
 _CRITIC = "the critic gives it, from finite observations: lower critic_lr"
 _SUM = "rewards and values are finite, but their sum is not: scale the reward down"
@@ -39,7 +39,7 @@ class FiniteRollout(Transform):
     def __init__(self, readers: Iterable[Any]) -> None:
         super().__init__()
         read = [key for one in readers for key in getattr(one, "in_keys", ())]
-        self._seen = tuple(key for key in _OBSERVED if key in read)
+        self._seen = tuple(key for key in _OBSERVED if key in read)  # images are bytes
         self.decision = 0
         self.iteration = 0
 

@@ -22,10 +22,10 @@ from rlco.keys import (
     ACTION,
     CHUNK,
     ENVIRONMENT_STATE,
-    IMAGE,
     INSTRUCTION_ID,
     IS_PAD,
     STATE,
+    image_keys,
 )
 from rlco.lerobot_files import LeRobotFolder, read_columns, read_folder
 
@@ -49,7 +49,9 @@ class DemoMeta:
         episodes: The data set's own indices of the episodes loaded.
         episode_lengths: Their numbers of frames, in the same order.
         chunk: Steps H of an action chunk.
-        image_key: The camera loaded, if any.
+        image_key: The camera loaded, if any; of several, features by their names.
+        recorded: How rlco recorded it: ``domain``, ``renderer``, ``look`` and so on;
+            empty where another program did.
     """
 
     path: Path
@@ -62,7 +64,8 @@ class DemoMeta:
     episodes: tuple[int, ...]
     episode_lengths: tuple[int, ...]
     chunk: int
-    image_key: str | None
+    image_key: str | Mapping[str, str] | None
+    recorded: Mapping[str, Any]
 
 
 class DemoReplayBuffer(TensorDictReplayBuffer):
@@ -94,7 +97,8 @@ class DemoReplayBuffer(TensorDictReplayBuffer):
         drawn = super().sample(*args, **options)
         if self.augmentation is not None:
             rows = drawn[0] if isinstance(drawn, tuple) else drawn
-            rows.set(IMAGE, self.augmentation(rows.get(IMAGE), self._rng))
+            for key in _image_keys(self.meta.image_key):
+                rows.set(key, self.augmentation(rows.get(key), self._rng))
         return drawn
 
     def frames(self) -> TensorDictBase:
@@ -115,7 +119,7 @@ def load_demos(
     action_dim: int | None = None,
     state_dim: int | None = None,
     environment_dim: int | None = None,
-    image_key: str | Literal[False] | None = None,
+    image_key: str | Mapping[str, str] | Literal[False] | None = None,
     image_size: tuple[int, int] | None = None,
     memmap: str | Path | None = None,
 ) -> DemoReplayBuffer:
@@ -141,7 +145,9 @@ def load_demos(
         state_dim: The same for the state.
         environment_dim: The same for the environment's state, which then must exist.
         image_key: The camera to read, for example ``"observation.images.front"``.
-            None reads the camera where there is exactly one; False reads none.
+            None reads the camera where there is exactly one; False reads none. A map
+            ``{"wrist": "observation.images.hand"}`` reads several, each under
+            ``("observation", "image", NAME)``.
         image_size: Height and width of the images [pixels]: cut about their middle
             to this shape, then made smaller. None leaves them as they are.
         memmap: A new folder for the rows, memory-mapped; None keeps them in memory.
@@ -163,6 +169,7 @@ def load_demos(
     }
     _check_sizes(folder, sizes)
     camera = _choose_camera(folder, image_key)
+    features = list(camera.values()) if isinstance(camera, Mapping) else [camera]
     texts = tuple(folder.tasks[i] for i in sorted(folder.tasks))
     if instructions is not None:
         texts = tuple(instructions)
@@ -179,12 +186,22 @@ def load_demos(
             buffer.extend(rows)
             return buffer
         start = 0
-        for images in images_of(folder, camera, image_size):
+        films = [images_of(folder, str(one), image_size) for one in features]
+        for views in zip(*films, strict=True):
             # One episode at a time: a memory map never holds all images in memory.
-            part = rows[start : start + len(images)].set(IMAGE, images)
+            part = rows[start : start + len(views[0])]
+            for key, images in zip(_image_keys(camera), views, strict=True):
+                part.set(key, images)
             buffer.extend(part)
-            start += len(images)
+            start += len(part)
     return buffer
+
+
+def _image_keys(camera: str | Mapping[str, str] | None) -> tuple[tuple[str, ...], ...]:
+    """Return the keys of what `load_demos` read of a camera, or of several."""
+    if camera is None:
+        return ()
+    return image_keys(list(camera) if isinstance(camera, Mapping) else [camera])
 
 
 @contextlib.contextmanager
@@ -286,18 +303,23 @@ def _check_sizes(folder: LeRobotFolder, sizes: Mapping[str, int | None]) -> None
 
 
 def _choose_camera(
-    folder: LeRobotFolder, image_key: str | Literal[False] | None
-) -> str | None:
+    folder: LeRobotFolder, image_key: str | Mapping[str, str] | Literal[False] | None
+) -> str | Mapping[str, str] | None:
     if image_key is None and len(folder.cameras) == 1:
         return folder.cameras[0]
     if not image_key:
         return None
-    folder.feature(image_key)
+    chosen = [image_key] if isinstance(image_key, str) else list(image_key.values())
+    for feature in chosen:
+        folder.feature(feature)
     return image_key
 
 
 def _meta(
-    folder: LeRobotFolder, texts: tuple[str, ...], chunk: int, camera: str | None
+    folder: LeRobotFolder,
+    texts: tuple[str, ...],
+    chunk: int,
+    camera: str | Mapping[str, str] | None,
 ) -> DemoMeta:
     def names(name: str) -> tuple[str, ...]:
         return (folder.features[name].names or ()) if name in folder.features else ()
@@ -314,4 +336,5 @@ def _meta(
         episode_lengths=tuple(episode.length for episode in folder.episodes),
         chunk=chunk,
         image_key=camera,
+        recorded=folder.recorded,
     )

@@ -19,7 +19,9 @@ from rlco.physics.effects.corrected_model import Given
 from rlco.physics.rendering.renderers import check_renderer
 from rlco.physics.robosuite.options import PREFIX
 from rlco.physics.spec.domain import Domain, GivenDomain, make_domain, with_look
-from rlco.physics.spec.looks import GivenLook
+from rlco.physics.spec.look import Look
+from rlco.physics.spec.look_file import content_of_look
+from rlco.physics.spec.looks import RANDOM, GivenLook
 from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.task import Task
 from rlco.physics.tasks.demonstrate import (
@@ -104,6 +106,7 @@ def record_demonstrations(
             camera=camera,
             image_size=size,
             video=video,
+            recorded=_description(task, where, camera, renderer, given),
         )
         with writer:
             for demonstration, images in tqdm(
@@ -112,6 +115,28 @@ def record_demonstrations(
                 _write(writer, demonstration, images)
                 frames += len(demonstration.action)
     return frames
+
+
+def _description(
+    task: str,
+    domain: Domain,
+    camera: str | Sequence[str] | None,
+    renderer: Renderer,
+    given: dict[str, Any],
+) -> dict[str, Any]:
+    """Return how a data set was recorded, in types of JSON."""
+    found = {
+        "task": task,
+        "domain": domain.name,
+        "seed": given["seed"],
+        "noise": given["noise"],
+    }
+    if camera is None:
+        return found
+    cameras = [camera] if isinstance(camera, str) else list(camera)
+    look = domain.look
+    drawn = content_of_look(look) if isinstance(look, Look) else RANDOM
+    return found | {"renderer": renderer, "cameras": cameras, "look": drawn}
 
 
 @contextmanager

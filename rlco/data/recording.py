@@ -5,6 +5,7 @@ lerobot is imported when a writer is made, not before: its import takes ten seco
 
 from __future__ import annotations
 
+import json
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -16,7 +17,7 @@ import numpy.typing as npt
 
 from rlco.data.low_dim_episodes import LowDimEpisodes
 from rlco.errors import ConfigError, DataError, OutputExistsError
-from rlco.lerobot_files import UNFINISHED_MARK
+from rlco.lerobot_files import RECORDED, UNFINISHED_MARK
 from rlco.runs.whole_files import sync_tree
 
 Frame = dict[str, Any]
@@ -42,6 +43,7 @@ class DemoWriter:
             of several names.
         image_size: Height and width of their images [pixels].
         video: Keep the images as video (small, lossy) and not as PNG (exact).
+        recorded: How it is recorded, in types of JSON, kept as ``meta/rlco.json``.
 
     Raises:
         OutputExistsError: The folder exists; nothing in it was touched.
@@ -60,6 +62,7 @@ class DemoWriter:
         camera: str | Sequence[str] | None = None,
         image_size: tuple[int, int] | None = None,
         video: bool = False,
+        recorded: Mapping[str, Any] | None = None,
     ) -> None:
         self.path = Path(path)
         if self.path.exists():
@@ -80,6 +83,8 @@ class DemoWriter:
             raise ConfigError(problems)
         self._dataset = self._create(fps, robot_type, video)
         (self.path / UNFINISHED_MARK).touch()
+        if recorded is not None:
+            (self.path / RECORDED).write_text(json.dumps(dict(recorded), indent=2))
         # Images go through lerobot's own frame buffer, numbers through a quicker way.
         self._episodes = None if names else LowDimEpisodes(self._dataset.meta)
         self._pending: list[Frame] = []

@@ -6,7 +6,7 @@ import math
 import shutil
 import tempfile
 import weakref
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -36,6 +36,7 @@ def load_task_demos(
     rename: str = "",
     image_size: tuple[int, int] | None = None,
     camera: str | None = None,
+    cameras: Sequence[str] = ("agentview",),
     environment_state: bool = True,
 ) -> DemoReplayBuffer:
     """Load demonstrations whose features, sizes, texts and rate are the task's.
@@ -50,7 +51,9 @@ def load_task_demos(
             than a gigabyte of them is memory-mapped, in a folder that goes with the
             buffer.
         camera: Which images: ``front``, or the feature's whole name; None: those of
-            the only camera.
+            the only camera. Of several cameras ``front,wrist``; None: those that are
+            named as `cameras` are.
+        cameras: What the cameras are called in rows, where there are several.
         environment_state: Whether object poses must be there.
 
     Raises:
@@ -59,13 +62,13 @@ def load_task_demos(
             actions beyond the task's limit.
     """
     names = rename_map(rename)
-    key: str | Literal[False] = False
+    key: str | dict[str, str] | Literal[False] = False
     memmap = None
     if image_size is not None:
         folder = read_folder(path, episodes=episodes, rename=names)
-        key = camera_key(folder, camera)
+        key = camera_keys(folder, camera, cameras)
         frames = sum(episode.length for episode in folder.episodes)
-        if 3 * math.prod(image_size) * frames > IN_MEMORY:
+        if 3 * math.prod(image_size) * frames * len(cameras) > IN_MEMORY:
             memmap = Path(tempfile.mkdtemp(prefix="rlco_rows_")) / "rows"
     environment_dim = len(task.environment_state_names) if environment_state else None
     try:
@@ -123,6 +126,33 @@ def check_commands(
             "episodes (episodes=), or train a robot that is commanded otherwise with "
             "task=null."
         )
+
+
+def camera_keys(
+    folder: LeRobotFolder, camera: str | None, cameras: Sequence[str]
+) -> str | dict[str, str]:
+    """Return the feature of one camera, or of several by their names in rows.
+
+    Args:
+        folder: The data set.
+        camera: See `load_task_demos`.
+        cameras: See `load_task_demos`.
+
+    Raises:
+        DataError: See `camera_key`, or another number of cameras is named.
+    """
+    if len(cameras) == 1:
+        return camera_key(folder, camera)
+    names = cameras if camera is None else [one.strip() for one in camera.split(",")]
+    if len(names) != len(cameras):
+        raise DataError(
+            f"{len(cameras)} cameras are read, {', '.join(cameras)}, but camera="
+            f"{camera} names {len(names)}; name one for each, in this order."
+        )
+    return {
+        ours: camera_key(folder, name)
+        for ours, name in zip(cameras, names, strict=True)
+    }
 
 
 def camera_key(folder: LeRobotFolder, camera: str | None) -> str:

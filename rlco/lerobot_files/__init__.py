@@ -7,6 +7,7 @@
 from __future__ import annotations
 
 from rlco.lerobot_files.columns import read_columns as read_columns
+from rlco.lerobot_files.folder import RECORDED as RECORDED
 from rlco.lerobot_files.folder import UNFINISHED_MARK as UNFINISHED_MARK
 from rlco.lerobot_files.folder import read_folder as read_folder
 from rlco.lerobot_files.images import iterate_images as iterate_images

@@ -22,6 +22,8 @@ from rlco.lerobot_files.schema import Feature, LeRobotFolder
 
 #: Exists in a folder from the start of its recording to the end.
 UNFINISHED_MARK = "meta/unfinished"
+#: How rlco recorded a data set: a file of its own, which other programs leave alone.
+RECORDED = "meta/rlco.json"
 
 
 def read_folder(
@@ -81,7 +83,13 @@ def read_folder(
         renamed=dict(rename or {}),
         tasks=tasks_v2(path) if version == "v2.1" else tasks_v3(path),
         episodes=select(path, listed, episodes),
+        recorded=_recorded(path),
     )
+
+
+def _recorded(path: Path) -> Mapping[str, Any]:
+    file = path / RECORDED
+    return read_json(inside(path, file)).content if file.is_file() else {}
 
 
 def _nearby(path: Path) -> str:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from rlco.errors import DataError, suggest
 
@@ -71,6 +72,7 @@ class LeRobotFolder:
         tasks: Task text by task index.
         episodes: Those selected, in the order requested.
         renamed: ``{"their.name": "our.name"}``, as asked for.
+        recorded: How rlco recorded it, by `RECORDED`; empty where another program did.
     """
 
     path: Path
@@ -81,6 +83,7 @@ class LeRobotFolder:
     tasks: Mapping[int, str]
     episodes: tuple[Episode, ...]
     renamed: Mapping[str, str] = field(default_factory=dict)
+    recorded: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def cameras(self) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ class ResultRow(TypedDict):
     those that were solved after some decision, ``lost`` the latter without the former.
     ``outcomes`` and ``ever`` say the same of each episode, 0 or 1, in the order of the
     initial states, which ``states_seed`` draws. Rows of older files lack these five.
+    ``look`` is there where images had another look than the domain's.
     """
 
     method: str
@@ -37,6 +38,7 @@ class ResultRow(TypedDict):
     outcomes: NotRequired[list[int]]
     ever: NotRequired[list[int]]
     states_seed: NotRequired[int]
+    look: NotRequired[str]
 
 
 class ImitationRow(TypedDict):

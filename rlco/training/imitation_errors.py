@@ -40,7 +40,8 @@ def imitation_error(policy: Any, frames: TensorDictBase) -> float:
         frames: Observations, chunks and ``action_is_pad``, batch size (B,).
     """
     # All images at once would need gigabytes inside a network.
-    parts = frames.split(ROWS) if keys.IMAGE in policy.in_keys else [frames]
+    seeing = any(map(keys.is_image, policy.in_keys))
+    parts = frames.split(ROWS) if seeing else [frames]
     with torch.no_grad():
         steps = torch.cat([policy.imitation_loss(part) for part in parts])
     return float(steps[~frames[keys.IS_PAD]].mean())

@@ -14,8 +14,29 @@ if TYPE_CHECKING:
 
 #: Adam's first step is ten times the learning rate, which float32 must hold.
 LARGEST_LR = 1e37
-#: The camera of the simulator's environments.
-SIM_CAMERA = "agentview"
+
+
+def camera_list(text: str) -> list[str]:
+    """Return the cameras that an option names.
+
+    Example:
+        >>> camera_list("agentview, robot0_eye_in_hand")
+        ['agentview', 'robot0_eye_in_hand']
+    """
+    return [name.strip() for name in text.split(",")]
+
+
+def camera_names(text: str) -> str | None:
+    """Say why a text names no cameras; None where it does.
+
+    Example:
+        >>> camera_names("agentview,agentview")
+        "'agentview,agentview' is to name one camera or several, each once: A,B"
+    """
+    names = camera_list(text)
+    if all(names) and len(set(names)) == len(names):
+        return None
+    return f"{text!r} is to name one camera or several, each once: A,B"
 
 
 @dataclass
@@ -111,6 +132,12 @@ class PolicyOptions(KindOptions, AugmentOptions):
         "what draws the simulator's images: rlco's own renderer, or OpenGL; the "
         "demonstrations' must be the same",
         earlier="opengl",
+    )
+    camera: str = option(
+        "agentview",
+        "the simulator's camera whose images it reads, or several: "
+        "agentview,robot0_eye_in_hand",
+        check=camera_names,
     )
     image_weights: str | None = option(
         None,
@@ -260,7 +287,10 @@ def _image_arguments(options: PolicyOptions) -> Any:
     if options.image == "none":
         return None
     size = (options.image_size, options.image_size)
-    shared = {"size": size, "renderer": options.renderer, "camera": SIM_CAMERA}
+    cameras = camera_list(options.camera)
+    shared: dict[str, Any] = {"size": size, "renderer": options.renderer}
+    # One alone is recorded as it always was.
+    shared |= {"camera": cameras[0]} if len(cameras) == 1 else {"cameras": cameras}
     if options.image == "conv":
         return {"kind": "conv", **shared}
     return {

@@ -11,7 +11,7 @@ from rlco.runs.config import folder_name, option
 from rlco.runs.indices import format_indices, index_list
 from rlco.runs.options import rename_map
 from rlco.training import policy_options
-from rlco.training.policy_options import LARGEST_LR, SIM_CAMERA, PolicyOptions
+from rlco.training.policy_options import LARGEST_LR, PolicyOptions, camera_list
 
 if TYPE_CHECKING:
     from rlco.data import DemoReplayBuffer, SimRealReplayBuffer
@@ -65,7 +65,9 @@ class StageOneOptions(PolicyOptions):
         "THEIRS:OURS,THEIRS:OURS",
     )
     real_camera: str | None = option(
-        None, "camera of these and of heldout_demos that is read; null: its only one"
+        None,
+        "camera of these and of heldout_demos that is read, or several in the order of "
+        "camera=; null: its only one, or those of the same names",
     )
     heldout_demos: str | None = option(
         None,
@@ -220,6 +222,8 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
         for name, option in _EPISODES.items()
     }
 
+    cameras = camera_list(options.camera)
+
     def load(name: str, rename: str, camera: str | None) -> DemoReplayBuffer | None:
         if not needed[name]:
             return None
@@ -231,11 +235,12 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
             rename=rename,
             image_size=image_size,
             camera=camera,
+            cameras=cameras,
             environment_state=poses,
         )
 
     # A set that was not recorded by rlco has a camera of another name, or one alone.
-    sim_camera = SIM_CAMERA if options.task is not None else None
+    sim_camera = options.camera if options.task is not None else None
     real = (options.rename, options.real_camera)
     demos = StageOneDemos(
         task,
@@ -244,6 +249,8 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
         heldout=load("heldout_demos", *real),
     )
     check_held_out(demos)
+    if image_size is not None:
+        say_drawn_otherwise(demos, options.renderer)
     if image_size is None and not poses:
         say_blind(demos)
     policy_options.augment(options, *demos.present())
@@ -268,6 +275,21 @@ def check_held_out(demos: StageOneDemos) -> None:
                     "trained on and held out; part them by episodes= and "
                     "heldout_episodes="
                 ]
+            )
+
+
+def say_drawn_otherwise(demos: StageOneDemos, renderer: str) -> None:
+    """Say so where a simulator's images were drawn by another renderer."""
+    for one in demos.present():
+        drawn = one.meta.recorded.get("renderer")
+        if drawn not in (None, renderer):
+            log.warning(
+                "%s was drawn by renderer=%s, but the policy's images are drawn by %s; "
+                "record it again, or give renderer=%s",
+                one.meta.path,
+                drawn,
+                renderer,
+                drawn,
             )
 
 

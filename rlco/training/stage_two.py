@@ -56,7 +56,9 @@ class StageTwoOptions(LaunchOptions, AugmentOptions):
         "", "features of real_demos with other names: THEIRS:OURS,THEIRS:OURS"
     )
     real_camera: str | None = option(
-        None, "camera of these and of heldout_demos that is read; null: its only one"
+        None,
+        "camera of these and of heldout_demos that is read, or several in the policy's "
+        "order; null: its only one, or those of the same names",
     )
     heldout_demos: str | None = option(
         None,
@@ -279,6 +281,7 @@ def load_stage_two(options: StageTwoOptions) -> tuple[ChunkPolicy, StageTwoDemos
             rename=options.rename,
             image_size=policy.image_size,
             camera=options.real_camera,
+            cameras=policy.cameras or ("agentview",),
             environment_state=keys.ENVIRONMENT_STATE in policy.in_keys,
         )
 

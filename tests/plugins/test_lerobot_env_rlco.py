@@ -72,7 +72,7 @@ def test_an_episode_counts_as_solved_at_its_end(
 
     task = _Solved("push_cube", horizon=3)
     task.solved_at = solved_at
-    episode = Episode(task, None)
+    episode = Episode(task, {})
     episode.reset(seed=0)
     told = [episode.step(np.zeros(7))[-1]["is_success"] for _ in range(3)]
     assert told == [False, False, expected]

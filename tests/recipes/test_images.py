@@ -42,8 +42,10 @@ def seen(tmp_path_factory: pytest.TempPathFactory, rendering: None) -> Seen:
     start(
         "record_demos", "episodes=1", "camera=agentview", "image_size=64", out(made.sim)
     )
-    # As on a robot: larger images, video, and nobody tells where objects are.
+    # As on a robot: larger images, video, and nobody tells where objects are. In the
+    # look of sim, so that images can be compared.
     larger = ["camera=agentview", "image_size=80", "video=true", "domain=stand_in"]
+    larger.append("look=sim")
     start("record_demos", "episodes=1", "seed=1", *larger, out(made.real))
     forget_poses(made.real)
     given = [f"sim_demos={made.sim}", f"real_demos={made.real}", *SFT, *SEEN]

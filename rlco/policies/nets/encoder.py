@@ -11,8 +11,12 @@ from torch import nn
 from torch.nn import functional
 
 from rlco.errors import ConfigError, DataError
-from rlco.keys import ENVIRONMENT_STATE, IMAGE, INSTRUCTION_ID, STATE
-from rlco.policies.nets.image_encoder import ImageArguments, ImageEncoder
+from rlco.keys import ENVIRONMENT_STATE, INSTRUCTION_ID, STATE, image_keys
+from rlco.policies.nets.image_encoder import (
+    ImageArguments,
+    ImageEncoder,
+    encoders_of,
+)
 from rlco.policies.nets.normalizer import QuantileNormalizer
 
 #: The lower and the upper quantile of some features, a number each.
@@ -98,15 +102,29 @@ class ObservationEncoder(nn.Module):
         self.environment_state = self._normalizer(
             "environment_state", ENVIRONMENT_STATE, environment_state_size
         )
-        self.image = ImageEncoder(**image) if image is not None else None
-        if self.image is not None:
-            self.in_keys.append(IMAGE)
+        # The first one alone under this name: so the files of policies have it.
+        first, *others = encoders_of(image) if image is not None else [None]
+        self.image: ImageEncoder | None = first
+        self.other_images = nn.ModuleList(one for one in others if one is not None)
+        self.image_keys = image_keys(self.cameras) if first is not None else ()
+        self.in_keys += self.image_keys
         self.num_instructions = num_instructions
         if num_instructions:
             self.in_keys.append(INSTRUCTION_ID)
         # Of the objects: what there is once more for each instruction.
-        scene = environment_state_size + (self.image.features if self.image else 0)
+        seen = sum(one.features for one in self._image_encoders())
+        scene = environment_state_size + seen
         self.size = state_size + num_instructions + scene * (1 + num_instructions)
+
+    @property
+    def cameras(self) -> tuple[str, ...]:
+        """Names of the simulator's cameras whose images it reads."""
+        return tuple(one.camera for one in self._image_encoders())
+
+    def _image_encoders(self) -> list[ImageEncoder]:
+        if self.image is None:
+            return []
+        return [self.image, *self.other_images]
 
     def _normalizer(
         self, name: str, key: tuple[str, ...], size: int
@@ -149,8 +167,8 @@ class ObservationEncoder(nn.Module):
             parts.append(self.state(read(tensordict, STATE)))
         if self.environment_state is not None:
             scene.append(self.environment_state(read(tensordict, ENVIRONMENT_STATE)))
-        if self.image is not None:
-            scene.append(self.image(read(tensordict, IMAGE)))
+        for key, encoder in zip(self.image_keys, self._image_encoders(), strict=True):
+            scene.append(encoder(read(tensordict, key)))
         parts += scene
         if self.num_instructions:
             chosen = read(tensordict, INSTRUCTION_ID)

@@ -34,6 +34,7 @@ class ImageArguments(TypedDict):
         renderer: what draws the simulator's images for it, "raster" or "opengl"; the
             latter by default, as for all policies that say nothing of it.
         camera: the simulator's camera, "agentview" by default.
+        cameras: several of them instead; each has an encoder of its own.
     """
 
     kind: ImageKind
@@ -42,6 +43,7 @@ class ImageArguments(TypedDict):
     frozen: NotRequired[bool]
     renderer: NotRequired[Renderer]
     camera: NotRequired[str]
+    cameras: NotRequired[Sequence[str]]
 
 
 class SpatialSoftmax(nn.Module):
@@ -226,6 +228,21 @@ def _advice(images: torch.Tensor, size: tuple[int, int]) -> list[str]:
     return advice
 
 
+def encoders_of(image: ImageArguments) -> list[ImageEncoder]:
+    """Return an encoder for each camera, in the order of their names.
+
+    Raises:
+        ConfigError: no camera, or one that is named twice, and as `ImageEncoder`.
+    """
+    shared: dict[str, Any] = {k: v for k, v in image.items() if k != "cameras"}
+    if "cameras" not in image:
+        return [ImageEncoder(**shared)]
+    cameras = list(image["cameras"])
+    if not cameras or len(set(cameras)) < len(cameras):
+        raise ConfigError([f"cameras={cameras} must be at least one, each once"])
+    return [ImageEncoder(**{**shared, "camera": name}) for name in cameras]
+
+
 def check_image(kind: str, size: Sequence[int], weights: str | None) -> None:
     """Refuse what no encoder can be built from, before anything is built.
 
@@ -260,6 +277,8 @@ def saved_arguments(image: Mapping[str, Any]) -> dict[str, Any]:
         {'kind': 'conv', 'size': [64, 64]}
     """
     saved = {**image, "size": [int(side) for side in image["size"]]}
+    if "cameras" in image:
+        saved["cameras"] = list(image["cameras"])
     if image["kind"] == "mobilenet":
         saved["weights"] = "saved"
     return saved

@@ -141,6 +141,11 @@ class ChunkPolicy(TensorDictModuleBase):
         return "opengl" if image is None else image.renderer
 
     @property
+    def cameras(self) -> tuple[str, ...]:
+        """The simulator's cameras whose images it reads."""
+        return self.encoder.cameras
+
+    @property
     def explores(self) -> bool:
         """Whether TorchRL's exploration type asks for a random sample."""
         return interaction_type() in _SAMPLED

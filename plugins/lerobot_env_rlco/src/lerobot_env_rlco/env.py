@@ -13,6 +13,7 @@ from lerobot.configs import FeatureType, PolicyFeature
 from lerobot.envs.configs import EnvConfig
 from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
+from rlco.errors import ConfigError
 from rlco.physics.effects import load_code
 from rlco.physics.spec.actions import ActionRange
 from rlco.physics.spec.domain import make_domain
@@ -34,8 +35,12 @@ class RlcoEnv(EnvConfig):
         variation: a named variation of the scene.
         camera: last part of the camera's name, ``front`` for
             ``observation.images.front``; None: numbers alone, and the objects' poses
-            among them.
+            among them. Of several cameras ``front,wrist``.
+        cameras: which of the simulator's cameras these are, in the same order.
         image_size: pixels along each side of a frame.
+        renderer: what draws them, ``raster`` or ``opengl``.
+        look: how they look, ``sim``, ``stand_in``, ``locked`` or ``random``; None: as
+            the domain says.
         horizon: control steps of an episode; the task's own by default.
         terminate_on_success: whether an episode ends where it is solved. LeRobot counts
             it as solved then; otherwise what counts is its end.
@@ -47,7 +52,10 @@ class RlcoEnv(EnvConfig):
     effects_code: str | None = None
     variation: str | None = None
     camera: str | None = None
+    cameras: str = "agentview"
     image_size: int = 128
+    renderer: str = "opengl"
+    look: str | None = None
     horizon: int | None = None
     terminate_on_success: bool = False
 
@@ -67,11 +75,28 @@ class RlcoEnv(EnvConfig):
             names = task.environment_state_names
             self.features["environment_state"] = numbers(FeatureType.ENV, len(names))
             self.features_map["environment_state"] = OBS_ENV_STATE
-        else:
-            shape = (self.image_size, self.image_size, 3)
-            pixels = f"pixels/{self.camera}"
-            self.features[pixels] = PolicyFeature(FeatureType.VISUAL, shape)
-            self.features_map[pixels] = f"{OBS_IMAGES}.{self.camera}"
+        shape = (self.image_size, self.image_size, 3)
+        for name in self._names():
+            self.features[f"pixels/{name}"] = PolicyFeature(FeatureType.VISUAL, shape)
+            self.features_map[f"pixels/{name}"] = f"{OBS_IMAGES}.{name}"
+
+    def _names(self) -> dict[str, str]:
+        """Return the simulator's camera of each of LeRobot's.
+
+        Raises:
+            ConfigError: another number of cameras than of names.
+        """
+        if self.camera is None:
+            return {}
+        names, cameras = self.camera.split(","), self.cameras.split(",")
+        if len(names) != len(cameras):
+            raise ConfigError(
+                [
+                    f"camera={self.camera} and cameras={self.cameras} are not as many; "
+                    "name one of the simulator's cameras for each of LeRobot's"
+                ]
+            )
+        return dict(zip(names, cameras, strict=True))
 
     @property
     def gym_kwargs(self) -> dict[str, Any]:
@@ -82,6 +107,9 @@ class RlcoEnv(EnvConfig):
             "variation": self.variation,
             "obs_type": "state" if self.camera is None else "pixels_agent_pos",
             "image_size": (self.image_size, self.image_size),
+            "renderer": self.renderer,
+            "cameras": tuple(self._names().values()) or ("agentview",),
+            "look": self.look,
             "horizon": self.horizon,
             "terminate_on_success": self.terminate_on_success,
             "render_mode": "rgb_array",
@@ -93,7 +121,7 @@ class RlcoEnv(EnvConfig):
         """Return so many copies of the task, as LeRobot nests them."""
 
         def one() -> gymnasium.Env[Any, Any]:
-            return Episode(TaskEnv(self.task, **self.gym_kwargs), self.camera)
+            return Episode(TaskEnv(self.task, **self.gym_kwargs), self._names())
 
         mode = AutoresetMode.SAME_STEP
         if use_async_envs and n_envs > 1:
@@ -107,24 +135,25 @@ class RlcoEnv(EnvConfig):
 
 
 class Episode(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """A task whose episodes are judged at their end, and whose camera has a name.
+    """A task whose episodes are judged at their end, and whose cameras have names.
 
     LeRobot counts an episode as solved if any of its steps was.
 
     Args:
         env: the task.
-        camera: its name, None without images.
+        cameras: the simulator's camera of each of LeRobot's; empty without images.
     """
 
-    def __init__(self, env: TaskEnv, camera: str | None) -> None:
+    def __init__(self, env: TaskEnv, cameras: dict[str, str]) -> None:
         super().__init__(env)
-        self._camera = camera
+        self._cameras = cameras
         self._action_range = ActionRange()
-        if camera is not None:
+        if cameras:
             parts: dict[str, spaces.Space[Any]] = dict(
                 cast(spaces.Dict, env.observation_space)
             )
-            parts["pixels"] = spaces.Dict({camera: parts["pixels"]})
+            pixels: Any = parts["pixels"]
+            parts["pixels"] = spaces.Dict(self._by_name(pixels))
             self.observation_space = spaces.Dict(parts)
 
     def reset(
@@ -144,6 +173,12 @@ class Episode(gymnasium.Wrapper[Any, Any, Any, Any]):
         return self._named(observation), float(reward), terminated, truncated, info
 
     def _named(self, observation: dict[str, Any]) -> dict[str, Any]:
-        if self._camera is None:
+        if not self._cameras:
             return observation
-        return {**observation, "pixels": {self._camera: observation["pixels"]}}
+        return {**observation, "pixels": self._by_name(observation["pixels"])}
+
+    def _by_name(self, pixels: Any) -> dict[str, Any]:
+        """Return what there is of each camera by LeRobot's names."""
+        if len(self._cameras) == 1:
+            return dict.fromkeys(self._cameras, pixels)
+        return {name: pixels[camera] for name, camera in self._cameras.items()}

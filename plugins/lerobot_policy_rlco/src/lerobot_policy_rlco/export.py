@@ -6,6 +6,7 @@ import json
 import os
 import shlex
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from lerobot.utils.constants import ACTION, OBS_ENV_STATE, OBS_IMAGES, OBS_STATE
 
 from lerobot_policy_rlco.configuration_rlco import RlcoConfig
 from lerobot_policy_rlco.modeling_rlco import RlcoPolicy
-from rlco.errors import OutputExistsError, RlcoError
+from rlco.errors import ConfigError, OutputExistsError, RlcoError
 from rlco.policies import load_policy
 
 
@@ -33,13 +34,15 @@ def export_policy(
         folder: where to; it must not exist.
         executed: steps of a chunk that are executed before the next; None: all.
         camera: last part of LeRobot's name for the camera, where the policy has one:
-            ``front`` for ``observation.images.front``.
+            ``front`` for ``observation.images.front``; of several ``front,wrist``, in
+            the order of the policy's cameras.
 
     Returns:
         The folder, for ``--policy.path``.
 
     Raises:
         CheckpointError: the policy cannot be read.
+        ConfigError: as many cameras as the policy reads are not named.
         OutputExistsError: the folder exists.
     """
     path = Path(folder)
@@ -52,7 +55,8 @@ def export_policy(
         inputs[OBS_ENV_STATE] = PolicyFeature(FeatureType.ENV, (size,))
     if image := arguments.get("image"):
         shape = (3, *image["size"])
-        inputs[f"{OBS_IMAGES}.{camera}"] = PolicyFeature(FeatureType.VISUAL, shape)
+        for name in _names(camera, actor.cameras):
+            inputs[f"{OBS_IMAGES}.{name}"] = PolicyFeature(FeatureType.VISUAL, shape)
     action = PolicyFeature(FeatureType.ACTION, (arguments["action_size"],))
     config = RlcoConfig(
         kind=actor.kind,
@@ -72,6 +76,18 @@ def export_policy(
     return path
 
 
+def _names(camera: str, cameras: Sequence[str]) -> list[str]:
+    names = camera.split(",")
+    if len(names) != len(cameras) or len(set(names)) < len(names):
+        raise ConfigError(
+            [
+                f"the policy reads {len(cameras)} cameras, {', '.join(cameras)}, but "
+                f"CAMERA is {camera}; give a name for each, in this order"
+            ]
+        )
+    return names
+
+
 def next_command(
     policy: str | os.PathLike[str], folder: Path, *, camera: str = "front"
 ) -> str:
@@ -88,10 +104,15 @@ def next_command(
     if extra.get("task") is not None:
         words = ["lerobot-eval", "--env.type=rlco", f"--env.task={extra['task']}"]
         words += [f"--env.camera={camera}"] if actor.image_size else []
+        if len(actor.cameras) > 1:
+            words.append(f"--env.cameras={','.join(actor.cameras)}")
+        if actor.image_size and actor.renderer != "opengl":
+            words.append(f"--env.renderer={actor.renderer}")
     else:
         words = ["lerobot-rollout", "--robot.type=ROBOT"]
         if actor.image_size:
-            words.append(f"--robot.cameras={{{camera}: ...}}")
+            given = ", ".join(f"{name}: ..." for name in camera.split(","))
+            words.append(f"--robot.cameras={{{given}}}")
         if rate := extra.get("control_frequency"):
             words.append(f"--fps={rate:g}")
         if texts := extra.get("instructions"):

@@ -52,10 +52,12 @@ class RlcoPolicy(PreTrainedPolicy):
         Raises:
             DataError: it lacks a feature that the policy reads, or its task is new.
         """
+        # In the order of the policy's cameras, as `export_policy` writes them.
+        seen = filter(keys.is_image, self.actor.in_keys)
         names: dict[Any, str] = {
             keys.STATE: OBS_STATE,
             keys.ENVIRONMENT_STATE: OBS_ENV_STATE,
-            **dict.fromkeys([keys.IMAGE], next(iter(self.config.image_features), "")),
+            **dict(zip(seen, self.config.image_features, strict=True)),
         }
         read = {key: names[key] for key in self.actor.in_keys if key in names}
         if missing := [name for name in read.values() if name not in batch]:
@@ -68,9 +70,8 @@ class RlcoPolicy(PreTrainedPolicy):
         state = batch[OBS_STATE]
         rows = TensorDict(batch_size=[len(state)])
         for key, name in read.items():
-            rows.set(key, batch[name])
-        if keys.IMAGE in read:
-            rows.set(keys.IMAGE, self._pictures(batch, read[keys.IMAGE]))
+            image = keys.is_image(key)
+            rows.set(key, self._pictures(batch, name) if image else batch[name])
         if keys.INSTRUCTION_ID in self.actor.in_keys:
             ids = [self._instruction(text) for text in batch["task"]]
             rows.set(keys.INSTRUCTION_ID, torch.tensor(ids, device=state.device))
