@@ -1,4 +1,4 @@
-"""Stage II in two processes that learn together."""
+"""Stage II in several processes: two that learn together, two that play over Ray."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 from rank_cases import Found, in_two_ranks, next_group
-from recipe_cases import RL_CO, Assets, start
+from recipe_cases import RL_CO, Assets, refused, start
 
 from rlco.run import Run
 from rlco.runs.metrics import read_metrics
@@ -95,3 +95,31 @@ def test_ranks_resume_to_what_they_would_have_come_to(
     for name in ("metrics.csv", "policy/policy.safetensors"):
         cut, whole = (folder / run / name for run in ("cut", "whole"))
         assert cut.read_bytes() == whole.read_bytes(), name
+
+
+# -- Workers of Ray --------------------------------------------------------------------
+
+
+def test_workers_of_ray_play_and_a_resumed_run_goes_on_without_them(
+    assets: Assets, ray_cluster: None, tmp_path: Path
+) -> None:
+    out = tmp_path / "ray"
+    given = [*stage_one(assets), *RL_CO, f"out={out}"]
+    start("rl_co", *given, "launch=ray", "workers=2")
+    rows = read_metrics(out / "metrics.csv")
+    alone = read_metrics(assets.rl_co / "metrics.csv")
+    assert [row["frames"] for row in rows] == [row["frames"] for row in alone]
+    # The worker played with the weights that the learner had.
+    assert all(row["log_prob_gap"] < 1e-4 for row in rows[1:])
+    start("rl_co", f"resume={out}", "launch=local", "workers=null", "iterations=4")
+    assert len(read_metrics(out / "metrics.csv")) == 5
+
+
+def test_a_cluster_that_is_not_there_is_said(
+    assets: Assets, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    said = refused(
+        capsys, "rl_co", *stage_one(assets), f"out={tmp_path / 'a'}", "launch=ray"
+    )
+    assert "give workers=2" in said
+    assert not (tmp_path / "a").exists()
