@@ -69,6 +69,7 @@ RUN_BY = {
         (
             "rl_co.py policy=outputs/sft/RUN/policy real_demos=demos/stand_in "
             "launch=ray workers=2",
+            "compare.py experiment=grid.yaml launch=ray ray_address=auto jobs=64",
         ),
         "recipes/test_rl_co_launch.py",
     ),
