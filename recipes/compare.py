@@ -3,6 +3,7 @@
     uv run recipes/compare.py experiment=benchmarks/experiments/planar.yaml dry=true
     uv run recipes/compare.py experiment=benchmarks/experiments/planar.yaml hours=6
     uv run recipes/compare.py experiment=... cells=benchmarks/cells/planar hours=0
+    uv run recipes/compare.py experiment=... launch=ray ray_address=auto jobs=64
 
 Every job is cached by what decides its result: script, options, code. Started again it
 goes on where it was; with hours=0 it makes the tables of what there is.
@@ -18,6 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+from rlco.errors import ConfigError
 from rlco.reporting.comparison import (
     comparison_table,
     cost_table,
@@ -35,9 +37,11 @@ from rlco.runs.compare.cells import Store
 from rlco.runs.compare.experiment import Experiment
 from rlco.runs.compare.jobs import Job, expand
 from rlco.runs.compare.plan import Plan, expected_minutes, make_plan
+from rlco.runs.compare.processes import LocalProcesses, Processes
 from rlco.runs.compare.queue import Queue
 from rlco.runs.compare.read_experiment import read_experiment
 from rlco.runs.config import REQUIRED, option
+from rlco.runs.ray_cluster import check_ray
 from rlco.runs.whole_files import write_json, write_text
 
 log = logging.getLogger("rlco.compare")
@@ -58,6 +62,12 @@ class Config:
         "same", "any: use results of another version of the code, marked"
     )
     jobs: int = option(2, "jobs at once, one thread each", minimum=1)
+    launch: Literal["local", "ray"] = option(
+        "local", "where jobs run: on this machine, or on the nodes of a Ray cluster"
+    )
+    ray_address: str | None = option(
+        None, "ray: the cluster, auto or HOST:PORT; null: one of this machine alone"
+    )
     hours: float | None = option(
         None, "start no further job after so long [h]; 0: tables alone", minimum=0
     )
@@ -73,18 +83,44 @@ def main(config: Config) -> None:
     jobs = expand(experiment)
     store = Store(out, config.cells and Path(config.cells), config.code)
     plan = make_plan(jobs, store)
+    check_launch(config)
     say(plan, store, config.jobs)
     if config.dry:
         return
     store.check()
+    processes = processes_of(config)
     lock = run_folder.lock(out)
     try:
-        queue = Queue(plan, store, config.jobs, config.hours, config.nice)
+        queue = Queue(plan, store, config.jobs, config.hours, config.nice, processes)
         queue.run()
     finally:
+        processes.close()
         # What there is when it is interrupted makes a table, too.
         save(experiment, jobs, store, out)
         os.close(lock)
+
+
+def check_launch(config: Config) -> None:
+    """Check that jobs can run where they are to run.
+
+    Raises:
+        ConfigError: They cannot.
+    """
+    if config.launch == "ray":
+        check_ray()
+    elif config.ray_address is not None:
+        raise ConfigError(
+            ["ray_address belongs to launch=ray, but launch=local; give launch=ray"]
+        )
+
+
+def processes_of(config: Config) -> Processes:
+    """Return where jobs run."""
+    if config.launch == "local":
+        return LocalProcesses()
+    from rlco.runs.compare.ray_processes import RayProcesses
+
+    return RayProcesses(config.ray_address, config.jobs)
 
 
 def say(plan: Plan, store: Store, at_once: int) -> None:

@@ -4,6 +4,7 @@
     uv run recipes/rl_co.py policy=outputs/sft/RUN/policy real_coeff=0   # RL alone
     uv run recipes/rl_co.py ... train_domain=gap_report/effects.yaml
     uv run recipes/rl_co.py ... real_coeff=0 keep=best    # stopped where sim was best
+    uv run recipes/rl_co.py ... launch=ray workers=4      # four processes play
     uv run torchrun --nproc-per-node=2 recipes/rl_co.py ... launch=torchrun
 
 L = L_PPO(sim) + beta L_BC(D_real), beta = real_coeff, in every minibatch of every
@@ -122,6 +123,9 @@ def train(
         look=config.look,
         prepare=fix_pose_range(critic, policy, ranks) if run.step is None else None,
         ranks=ranks,
+        workers=own.workers,
+        ray_address=own.ray_address,
+        effects_code=own.effects_code,
     )
     episodes = config.eval_episodes
     envs = evaluation_envs(

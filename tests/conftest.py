@@ -57,6 +57,16 @@ def rendering() -> None:
         pytest.skip(f"no OpenGL library: {error}")
 
 
+@pytest.fixture(scope="session")
+def ray_cluster() -> Iterator[None]:
+    """Start a Ray cluster of two processors, or use the one that RAY_ADDRESS names."""
+    from rlco.runs.ray_cluster import connect, disconnect
+
+    connect(os.environ.get("RAY_ADDRESS"), processors=2)
+    yield
+    disconnect()
+
+
 @pytest.fixture(autouse=True)
 def one_thread() -> None:
     """Two threads on a busy machine are many times slower than one."""

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any, Literal, Protocol
 
 from tensordict import TensorDictBase
@@ -10,6 +12,7 @@ from tensordict import TensorDictBase
 from rlco.collectors.advantages import Advantage
 from rlco.collectors.rollouts import RolloutCollector
 from rlco.envs import make_env
+from rlco.physics.spec.domain import make_domain
 from rlco.physics.tasks.named_task import training_horizon
 from rlco.training.ranks import Ranks
 
@@ -57,6 +60,9 @@ def make_collector(
     cameras: Sequence[str] = ("agentview",),
     prepare: Callable[[TensorDictBase], None] | None = None,
     ranks: Ranks | None = None,
+    workers: int | None = None,
+    ray_address: str | None = None,
+    effects_code: str | None = None,
 ) -> RolloutCollector:
     """Return a collector that plays in the options' simulator.
 
@@ -72,13 +78,18 @@ def make_collector(
         cameras: Names of the cameras whose images the policy reads.
         prepare: See `RolloutCollector`.
         ranks: See `RolloutCollector`; the options are those of one of them.
+        workers: Processes of a Ray cluster that play, the environments divided between
+            them; None: this one plays.
+        ray_address: See `rlco.runs.ray_cluster.connect`.
+        effects_code: Python file of effects of one's own, which workers load, too.
     """
-    env = make_env(
+    build = partial(
+        make_env,
         options.task,
-        domain=options.train_domain,
+        domain=make_domain(options.train_domain),
         sample=None if options.train_sample == "none" else options.train_sample,
         backend=backend,
-        num_envs=options.num_envs,
+        num_envs=options.num_envs // (workers or 1),
         chunk=chunk,
         reward=options.reward,
         horizon=training_horizon(options.task, options.horizon),
@@ -88,8 +99,14 @@ def make_collector(
         cameras=cameras if image_size else ("agentview",),
         seed=options.seed,
     )
+    playing = None
+    if workers is not None:
+        from rlco.collectors.ray_rollouts import RayWorkers, made_in
+
+        make = partial(made_in, os.getcwd(), effects_code, build)
+        playing = RayWorkers(workers, make, ray_address, options.seed)
     return RolloutCollector(
-        env,
+        build(),
         policy,
         critic,
         gamma=options.gamma,
@@ -98,4 +115,5 @@ def make_collector(
         group_size=options.group_size,
         prepare=prepare,
         ranks=ranks,
+        workers=playing,
     )

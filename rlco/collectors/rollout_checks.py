@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from typing import Any
 
 import torch
@@ -26,7 +26,7 @@ class FiniteRollout(Transform):
     be blamed.
 
     Args:
-        readers: Policy and critic; what neither reads may be anything.
+        read: Keys that policy and critic read; what neither reads may be anything.
 
     Attributes:
         iteration: Number of the rollout, for the message.
@@ -36,9 +36,8 @@ class FiniteRollout(Transform):
         NonFiniteError: A number is NaN or infinite.
     """
 
-    def __init__(self, readers: Iterable[Any]) -> None:
+    def __init__(self, read: Container[Any]) -> None:
         super().__init__()
-        read = [key for one in readers for key in getattr(one, "in_keys", ())]
         self._seen = tuple(key for key in _OBSERVED if key in read)  # images are bytes
         self.decision = 0
         self.iteration = 0

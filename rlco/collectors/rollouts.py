@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, get_args
+from typing import TYPE_CHECKING, Any, get_args
 
 import torch
 from tensordict import TensorDictBase
-from torchrl.collectors import Collector
-from torchrl.envs import TransformedEnv
 from torchrl.envs.batched_envs import BatchedEnvBase
-from torchrl.envs.transforms import Compose, ExcludeTransform
-from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives.value import GAE
 
 from rlco import keys
 from rlco.collectors.advantages import Advantage, group_advantages, normalize
-from rlco.collectors.patience import impatient
-from rlco.collectors.rollout_checks import FiniteRollout, check_computed
+from rlco.collectors.local_rollouts import LocalRollouts, Rollouts
+from rlco.collectors.rollout_checks import check_computed
 from rlco.envs import check_action_units
 from rlco.envs.chunk_env import ChunkEnv
 from rlco.errors import ConfigError, DataError
 from rlco.policies import ValueHead
 from rlco.training.ranks import Ranks
+
+if TYPE_CHECKING:
+    from rlco.collectors.ray_rollouts import RayWorkers
 
 _NEEDED = ("start_at", "start_in_groups", "horizon", "chunk")
 
@@ -57,6 +56,8 @@ class RolloutCollector:
             the environment does not show.
         ranks: The processes that learn together, of which each collects: other episodes
             than the others, those that one with all environments would play.
+        workers: Processes of a Ray cluster that play instead of this one: each in an
+            environment like ``env``, which is then only asked what it is like.
 
     Raises:
         ConfigError: "gae" without a critic, groups of one episode, or an environment
@@ -89,29 +90,19 @@ class RolloutCollector:
         group_size: int = 8,
         prepare: Callable[[TensorDictBase], None] | None = None,
         ranks: Ranks | None = None,
+        workers: RayWorkers | None = None,
     ) -> None:
         _check_env(env)
         check_action_units(policy, env)
         _check(critic, advantage, group_size)
         self._prepare = prepare
         self._ranks = Ranks() if ranks is None else ranks
-        self._finite = FiniteRollout((policy, critic))
         self.env = env
         self.group_size = group_size if advantage == "mc" else 1
         env.start_in_groups(self.group_size)
         self.decisions = -(-env.horizon // env.chunk)
-        # Text is not trained on, and costs more to stack than everything else.
-        quiet = ExcludeTransform(keys.INSTRUCTION)
-        checked = TransformedEnv(env, Compose(quiet, self._finite))
-        self._collector = Collector(
-            checked,
-            policy,
-            frames_per_batch=env.batch_size.numel() * self.decisions,
-            total_frames=-1,
-            reset_at_each_iter=True,
-            auto_register_policy_transforms=False,
-        )
-        self._batches = iter(self._collector)
+        self._workers = 1 if workers is None else workers.count
+        self._rollouts = self._make_rollouts(policy, critic, workers)
         self._gae = None
         if advantage == "gae":
             self._gae = GAE(
@@ -123,10 +114,31 @@ class RolloutCollector:
                 deactivate_vmap=isinstance(critic, ValueHead),
             )
 
+    def _make_rollouts(
+        self, policy: Any, critic: Any, workers: RayWorkers | None
+    ) -> Rollouts:
+        readers = (policy, critic)
+        read = frozenset(k for one in readers for k in getattr(one, "in_keys", ()))
+        first = {
+            "part": self._ranks.rank * self._workers,
+            "parts": self._ranks.count * self._workers,
+        }
+        if workers is None:
+            return LocalRollouts(
+                self.env, policy, read, decisions=self.decisions, **first
+            )
+        from rlco.collectors.ray_rollouts import RayRollouts
+
+        frames = self.env.batch_size.numel() * self.decisions
+        return RayRollouts(
+            workers, policy, read, frames=frames, group_size=self.group_size, **first
+        )
+
     @property
     def frames(self) -> int:
         """Control steps of one rollout of this process, summed over environments."""
-        return int(self.env.batch_size.numel()) * self.env.horizon
+        environments = int(self.env.batch_size.numel()) * self._workers
+        return environments * self.env.horizon
 
     def collect(self, iteration: int) -> TensorDictBase:
         """Return the rollout of one iteration, shape (N, T) decisions.
@@ -140,12 +152,7 @@ class RolloutCollector:
             NonFiniteError: a reward, an observation, an action or a value is NaN or
                 infinite.
         """
-        self.env.start_at(iteration * self._ranks.count + self._ranks.rank)
-        self._finite.iteration = iteration
-        watched = impatient(lambda: self._finite.decision, f"rollout {iteration}")
-        with watched, set_exploration_type(ExplorationType.RANDOM):
-            rollout = next(self._batches)
-        rollout = self._estimate(rollout)
+        rollout = self._estimate(self._rollouts.play(iteration))
         check_computed(rollout, iteration)
         return rollout
 
@@ -187,7 +194,7 @@ class RolloutCollector:
 
     def close(self) -> None:
         """Free the collector."""
-        self._collector.shutdown()
+        self._rollouts.close()
 
 
 def _check_next(rollout: TensorDictBase, critic: Any) -> None:

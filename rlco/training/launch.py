@@ -1,4 +1,4 @@
-"""Where Stage II runs: in this process, or in several that learn together."""
+"""Where Stage II runs: in this process, in several that learn, in others that play."""
 
 from __future__ import annotations
 
@@ -22,10 +22,23 @@ _START = "torchrun --nproc-per-node=2 recipes/rl_co.py launch=torchrun ..."
 class LaunchOptions(RunOptions):
     """Options that say where a training runs."""
 
-    launch: Literal["local", "torchrun"] = option(
+    launch: Literal["local", "ray", "torchrun"] = option(
         "local",
-        "where it runs: this process, or the learners that torchrun has started, "
-        "between which num_envs, minibatch and real_rows are divided",
+        "where it runs: this process; ray: it learns, and workers of a Ray cluster "
+        "play; torchrun: the learners that torchrun has started, between which "
+        "num_envs, minibatch and real_rows are divided",
+        may_change=True,
+    )
+    workers: int | None = option(
+        None,
+        "ray: processes that play, between which num_envs is divided; torchrun: the "
+        "same of all learners together, null: each learner plays itself",
+        minimum=1,
+        may_change=True,
+    )
+    ray_address: str | None = option(
+        None,
+        "ray: the cluster, auto or HOST:PORT; null: one of this machine alone",
         may_change=True,
     )
 
@@ -33,7 +46,9 @@ class LaunchOptions(RunOptions):
 class DividedOptions(Protocol):
     """Options whose numbers are of all ranks together."""
 
-    launch: Literal["local", "torchrun"]
+    launch: Literal["local", "ray", "torchrun"]
+    workers: int | None
+    ray_address: str | None
     num_envs: int
     minibatch: int
     real_rows: int
@@ -49,7 +64,7 @@ def check_launch(options: DividedOptions) -> None:
         ConfigError: It was not; every problem is reported.
     """
     started = started_by_torchrun()
-    problems = []
+    problems = _without_ray(options)
     if options.launch == "torchrun" and started is None:
         problems.append(
             f"launch=torchrun needs what torchrun tells its processes; start {_START}"
@@ -64,6 +79,10 @@ def check_launch(options: DividedOptions) -> None:
     problems += _undivided(options, learning)
     if problems:
         raise ConfigError(problems)
+    if options.workers is not None:
+        from rlco.runs.ray_cluster import check_ray
+
+        check_ray()
 
 
 def started_by_torchrun() -> int | None:
@@ -73,18 +92,47 @@ def started_by_torchrun() -> int | None:
     return int(os.environ["WORLD_SIZE"])
 
 
+def _without_ray(options: DividedOptions) -> list[str]:
+    """Return what is wrong with the options of Ray."""
+    given = [n for n in ("workers", "ray_address") if getattr(options, n) is not None]
+    if options.launch == "local" and given:
+        return [
+            f"{' and '.join(given)} belong to launch=ray and launch=torchrun, but "
+            "launch=local; give launch=ray"
+        ]
+    if options.launch == "ray" and options.workers is None:
+        return ["launch=ray needs to know how many processes play; give workers=2"]
+    if options.launch == "torchrun" and len(given) == 1:
+        return [
+            f"launch=torchrun with {given[0]} alone: learners share one Ray cluster; "
+            "give both workers=N and ray_address=HOST:PORT, or neither"
+        ]
+    return []
+
+
 def _undivided(options: DividedOptions, learning: int) -> list[str]:
-    """Return what cannot be divided between learners."""
+    """Return what cannot be divided between learners and those that play."""
     problems = [
         f"{name}={value} cannot be divided between {learning} learners; give a multiple"
-        for name in ("num_envs", "minibatch", "real_rows")
+        for name in ("minibatch", "real_rows")
         if (value := getattr(options, name)) % learning
     ]
-    own = options.num_envs // learning
-    grouped = options.advantage == "mc" and learning > 1
-    if not problems and grouped and own % options.group_size:
+    playing = learning if options.workers is None else options.workers
+    if playing % learning:
         problems.append(
-            f"num_envs={options.num_envs} gives each of {learning} learners {own} "
+            f"workers={playing} cannot be divided between {learning} learners; give a "
+            "multiple"
+        )
+    each, rest = divmod(options.num_envs, playing)
+    grouped = options.advantage == "mc" and playing > 1
+    if rest:
+        problems.append(
+            f"num_envs={options.num_envs} cannot be divided between {playing} "
+            "processes that play; give a multiple"
+        )
+    elif grouped and each % options.group_size:
+        problems.append(
+            f"num_envs={options.num_envs} gives each of {playing} processes {each} "
             f"episodes, and group_size={options.group_size} does not divide these; "
             "give a multiple"
         )
@@ -103,6 +151,8 @@ def own_options[C: DividedOptions](options: C, ranks: Ranks) -> C:
     """
     divided = ("num_envs", "minibatch", "real_rows")
     parts = {name: getattr(options, name) // ranks.count for name in divided}
+    if options.workers is not None:
+        parts["workers"] = options.workers // ranks.count
     return replace(options, **parts)  # type: ignore[type-var]
 
 

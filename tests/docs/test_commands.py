@@ -65,6 +65,14 @@ RUN_BY = {
     "quickstart.py": "recipes/test_chain.py",
     "find_gap.py model=docs/example/arm.xml data=docs/example/logs": "test_cli.py",
     "find_gap.py model=arm.xml data=logs": "test_cli.py",
+    **dict.fromkeys(
+        (
+            "rl_co.py policy=outputs/sft/RUN/policy real_demos=demos/stand_in "
+            "launch=ray workers=2",
+            "compare.py experiment=grid.yaml launch=ray ray_address=auto jobs=64",
+        ),
+        "recipes/test_rl_co_launch.py",
+    ),
     "find_gap.py model=arm.xml reference=before data=after": "gap/test_reference.py",
     "find_gap.py model=arm.xml data=logs calibrate=usual": "gap/test_reference.py",
 }
@@ -80,6 +88,7 @@ ELSEWHERE = {
     "uv run tensorboard --logdir outputs": "a server",
     "uv run scripts/": "a network, or figures",
     "uv run torchrun ": "tests/recipes/test_rl_co_launch.py, without torchrun itself",
+    "uv run ray ": "several machines",
     "uv run benchmarks/": "hours; tests/benchmarks",
     "pip ": "a network",
     "unzip ": "what a network gave",

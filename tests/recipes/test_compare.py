@@ -338,6 +338,31 @@ def test_failed_and_missing_cells_stay_in_the_table_and_logs_are_kept(
     assert log.read_text().count("no luck") == 2
 
 
+def test_a_job_that_dies_is_tried_again_once_from_where_it_was(
+    grid: Grid, capsys: pytest.CaptureFixture[str]
+) -> None:
+    # The first dies once, in the middle; the second whenever it runs.
+    dies = """
+if given["who"] == "first 2" or (given["who"] == "first 1" and "resume" not in given):
+    os.kill(os.getpid(), 9)
+"""
+    script = SCRIPT.replace("EPISODES = 10\n", dies + "EPISODES = 10\n")
+    (grid.folder / "job.py").write_text(script)
+    del grid.content["jobs"]["second"], grid.content["table"]["methods"]["beta {beta}"]
+    del grid.content["table"]["differences"], grid.content["over"]["beta"]
+    assert grid.run("jobs=1") == [
+        *("first 1", "again first 1"),
+        *("first 2", "again first 2"),
+        "first 3",
+    ]
+    said = capsys.readouterr().err
+    assert "first_seed1 died of SIGKILL and is tried again" in said
+    assert "first_seed2 failed: it ended with status -9" in said
+    assert "2 of 3: 1 failed" in grid.table
+    (cell,) = (grid.folder / "out").glob("jobs/first_seed1-*/cell.json")
+    assert json.loads(cell.read_text())["attempts"] == 2
+
+
 def test_a_job_without_results_has_failed(
     grid: Grid, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -1,17 +1,21 @@
-"""Stage II in two processes that learn together."""
+"""Stage II in several processes: two that learn together, two that play over Ray."""
 
 from __future__ import annotations
 
 import contextlib
 import io
+import os
+import signal
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rank_cases import Found, in_two_ranks, next_group
-from recipe_cases import RL_CO, Assets, start
+from recipe_cases import RL_CO, Assets, refused, start
 
 from rlco.run import Run
+from rlco.runs.compare.processes import Ended
+from rlco.runs.compare.ray_processes import RayProcesses
 from rlco.runs.metrics import read_metrics
 
 pytestmark = pytest.mark.slow
@@ -95,3 +99,119 @@ def test_ranks_resume_to_what_they_would_have_come_to(
     for name in ("metrics.csv", "policy/policy.safetensors"):
         cut, whole = (folder / run / name for run in ("cut", "whole"))
         assert cut.read_bytes() == whole.read_bytes(), name
+
+
+# -- Workers of Ray --------------------------------------------------------------------
+
+
+def test_workers_of_ray_play_and_a_resumed_run_goes_on_without_them(
+    assets: Assets, ray_cluster: None, tmp_path: Path
+) -> None:
+    out = tmp_path / "ray"
+    given = [*stage_one(assets), *RL_CO, f"out={out}"]
+    start("rl_co", *given, "launch=ray", "workers=2")
+    rows = read_metrics(out / "metrics.csv")
+    alone = read_metrics(assets.rl_co / "metrics.csv")
+    assert [row["frames"] for row in rows] == [row["frames"] for row in alone]
+    # The worker played with the weights that the learner had.
+    assert all(row["log_prob_gap"] < 1e-4 for row in rows[1:])
+    start("rl_co", f"resume={out}", "launch=local", "workers=null", "iterations=4")
+    assert len(read_metrics(out / "metrics.csv")) == 5
+
+
+def test_a_cluster_that_is_not_there_is_said(
+    assets: Assets, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    said = refused(
+        capsys, "rl_co", *stage_one(assets), f"out={tmp_path / 'a'}", "launch=ray"
+    )
+    assert "give workers=2" in said
+    assert not (tmp_path / "a").exists()
+
+
+# -- Jobs of compare -------------------------------------------------------------------
+
+
+@pytest.fixture
+def processes(ray_cluster: None) -> RayProcesses:
+    return RayProcesses(None, jobs=1)
+
+
+def test_a_job_on_the_cluster_ends_with_its_status_and_log(
+    processes: RayProcesses, tmp_path: Path
+) -> None:
+    log = tmp_path / "log.txt"
+    code = "import sys; print('here'); sys.exit(3)"
+    process = processes.start(["python", "-c", code], log, nice=0)
+    ended = waited(processes, process)
+    assert ended.status == 3
+    assert ended.cpu_seconds > 0
+    assert log.read_text() == "here\n"
+
+
+def test_a_job_on_the_cluster_is_interrupted_as_by_ctrl_c(
+    processes: RayProcesses, tmp_path: Path
+) -> None:
+    log = tmp_path / "log.txt"
+    code = (
+        "import time\nprint('waits', flush=True)\n"
+        "try:\n    time.sleep(600)\nexcept KeyboardInterrupt:\n    print('stops')\n"
+    )
+    process = processes.start(["python", "-c", code], log, nice=0)
+    while not log.exists() or "waits" not in log.read_text():
+        assert processes.poll(process) is None
+    processes.stop(process)
+    assert log.read_text() == "waits\nstops\n"
+
+
+def test_a_job_whose_worker_is_killed_has_died(
+    processes: RayProcesses, tmp_path: Path
+) -> None:
+    log = tmp_path / "log.txt"
+    code = "import os, time; print(os.getppid(), flush=True); time.sleep(600)"
+    process = processes.start(["python", "-c", code], log, nice=0)
+    while not log.exists() or not log.read_text().endswith("\n"):
+        assert processes.poll(process) is None
+    os.kill(int(log.read_text()), signal.SIGKILL)
+    assert waited(processes, process).status == -signal.SIGKILL
+
+
+GRID = """
+over: {seed: [1, 2]}
+jobs: {count: {script: count.py, options: {seed: "{seed}"}}}
+table: {methods: {count: {job: count}}}
+"""
+COUNT = """
+import json, os, sys
+from pathlib import Path
+given = dict(one.split("=", 1) for one in sys.argv[1:])
+Path(given["out"]).mkdir()
+row = {"method": "count", "domain": "sim", "episodes": 8, "successes": 6}
+row["seed"] = int(given["seed"])
+(Path(given["out"]) / "results.json").write_text(json.dumps({"rows": [row]}))
+(Path(given["out"]) / "metrics.csv").write_text("step\\n")
+"""
+
+
+def test_a_grid_runs_on_the_cluster(ray_cluster: None, tmp_path: Path) -> None:
+    (tmp_path / "grid.yaml").write_text(GRID)
+    (tmp_path / "count.py").write_text(COUNT)
+    out = tmp_path / "out"
+    given = (f"experiment={tmp_path / 'grid.yaml'}", f"out={out}", "nice=0")
+    start("compare", *given, "launch=ray", "jobs=2")
+    assert "| count | 75%" in (out / "table.md").read_text()
+
+
+def test_an_address_without_ray_is_refused(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    (tmp_path / "grid.yaml").write_text(GRID)
+    (tmp_path / "count.py").write_text(COUNT)
+    given = f"experiment={tmp_path / 'grid.yaml'}"
+    assert "give launch=ray" in refused(capsys, "compare", given, "ray_address=auto")
+
+
+def waited(processes: RayProcesses, process: Any) -> Ended:
+    while (ended := processes.poll(process)) is None:
+        pass
+    return ended

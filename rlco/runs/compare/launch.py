@@ -14,6 +14,10 @@ _DIES_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux's prctl
 if __name__ == "__main__":
     parent, nice, *command = sys.argv[1:]
     os.nice(int(nice))
+    # Whoever interrupts it must be heard, also where its parent does not hear: workers
+    # of Ray block signals, commands in the background of a script ignore them.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_DIES_WITH_PARENT, signal.SIGTERM)
         if os.getppid() != int(parent):  # it ended before it was bound to

@@ -10,9 +10,10 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, Protocol
 
 _LAUNCH = Path(__file__).with_name("launch.py")
-_PATIENCE = 20.0  # for a process to end by itself once it was asked to [s]
+PATIENCE = 20.0  # for a process to end by itself once it was asked to [s]
 
 
 @dataclass(frozen=True)
@@ -26,6 +27,43 @@ class Ended:
 
     status: int
     cpu_seconds: float
+
+
+class Processes(Protocol):
+    """Where a queue starts processes: on this machine, or on others."""
+
+    def start(self, command: Sequence[str], log: Path, *, nice: int) -> Any:
+        """Start a process, its output appended to a log."""
+
+    def poll(self, process: Any) -> Ended | None:
+        """Return how a process ended; None while it runs."""
+
+    def stop(self, process: Any) -> Ended:
+        """Interrupt a process."""
+
+    def close(self) -> None:
+        """Free what it holds."""
+
+
+class LocalProcesses:
+    """Processes of this machine."""
+
+    def start(
+        self, command: Sequence[str], log: Path, *, nice: int
+    ) -> subprocess.Popen[bytes]:
+        """Start a process, see `start`."""
+        return start(command, log, nice=nice)
+
+    def poll(self, process: subprocess.Popen[bytes]) -> Ended | None:
+        """Return how a process ended, see `poll`."""
+        return poll(process)
+
+    def stop(self, process: subprocess.Popen[bytes]) -> Ended:
+        """Interrupt a process, see `stop`."""
+        return stop(process)
+
+    def close(self) -> None:
+        """Nothing is held."""
 
 
 def start(command: Sequence[str], log: Path, *, nice: int) -> subprocess.Popen[bytes]:
@@ -61,7 +99,7 @@ def stop(process: subprocess.Popen[bytes]) -> Ended:
     os.kill(process.pid, signal.SIGINT)
     asked = time.monotonic()
     while (ended := poll(process)) is None:
-        if time.monotonic() - asked > _PATIENCE:
+        if time.monotonic() - asked > PATIENCE:
             os.kill(process.pid, signal.SIGKILL)
         time.sleep(0.05)
     return ended

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import logging
 import shutil
-import subprocess
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterable
@@ -18,7 +18,7 @@ from rlco.runs import run_folder
 from rlco.runs.compare.cells import Cell, Store, curves, results
 from rlco.runs.compare.jobs import Job
 from rlco.runs.compare.plan import Plan
-from rlco.runs.compare.processes import Ended, poll, start, stop
+from rlco.runs.compare.processes import Ended, LocalProcesses, Processes
 from rlco.runs.whole_files import write_json
 
 log = logging.getLogger("rlco.compare")
@@ -36,6 +36,10 @@ class Queue:
         jobs: How many jobs run at once.
         hours: When no further job is started [h]; what runs by then is finished.
         nice: Added to the niceness of jobs.
+        processes: Where they run.
+
+    A job whose process dies, killed or lost with its machine, is tried again once, from
+    where it was. One that ends with an error of its own would do so again.
     """
 
     plan: Plan
@@ -43,10 +47,12 @@ class Queue:
     jobs: int
     hours: float | None
     nice: int
+    processes: Processes = field(default_factory=LocalProcesses)
     clock: Callable[[], float] = time.monotonic
     _left: list[Job] = field(init=False)
-    _running: dict[Job, subprocess.Popen[bytes]] = field(init=False)
+    _running: dict[Job, Any] = field(init=False)
     _failed: set[Job] = field(init=False)
+    _died: set[Job] = field(init=False)
 
     def run(self) -> set[Job]:
         """Run until nothing is left or may be started; return the jobs that failed.
@@ -54,7 +60,8 @@ class Queue:
         Raises:
             KeyboardInterrupt: It was interrupted; what ran was stopped, resumable.
         """
-        self._left, self._running, self._failed = list(self.plan.jobs), {}, set()
+        self._left, self._running = list(self.plan.jobs), {}
+        self._failed, self._died = set(), set()
         began = self.clock()
         try:
             while True:
@@ -68,7 +75,8 @@ class Queue:
         except BaseException:
             for job, process in self._running.items():
                 folder = self.store.folder(job)
-                attempts = [*attempts_of(folder), _attempt(stop(process))]
+                ended = self.processes.stop(process)
+                attempts = [*attempts_of(folder), _attempt(ended)]
                 write_json(folder / "attempts.json", {"attempts": attempts})
             raise
         for job in self._left:
@@ -90,7 +98,7 @@ class Queue:
         waits = need in self._left or need in self._running or need in self._failed
         return not waits and self.store.run_folder(need).exists()
 
-    def _start(self, job: Job) -> subprocess.Popen[bytes]:
+    def _start(self, job: Job) -> Any:
         folder = self.store.folder(job)
         folder.mkdir(parents=True, exist_ok=True)
         shutil.rmtree(self.store.run_folder(job), ignore_errors=True)
@@ -100,12 +108,12 @@ class Queue:
         with (folder / "log.txt").open("a", encoding="utf-8") as file:
             file.write(f"$ {' '.join(command)}\n")
         log.info("%s starts", job.name)
-        return start(command, folder / "log.txt", nice=self.nice)
+        return self.processes.start(command, folder / "log.txt", nice=self.nice)
 
     def _collect(self) -> None:
         """Take in the jobs that have ended."""
         for job, process in list(self._running.items()):
-            if (ended := poll(process)) is not None:
+            if (ended := self.processes.poll(process)) is not None:
                 del self._running[job]
                 self._finish(job, ended)
 
@@ -116,6 +124,13 @@ class Queue:
             _check(job, ended)
             self.store.add(job, _cell(job, folder / "part", attempts))
         except DataError as error:
+            if ended.status < 0 and job not in self._died:
+                self._died.add(job)
+                self._left.insert(0, job)
+                name = signal.Signals(-ended.status).name
+                write_json(folder / "attempts.json", {"attempts": attempts})
+                self._say(job, f"died of {name} and is tried again")
+                return
             self._failed.add(job)
             if job.code.has_changed():
                 shutil.rmtree(folder / "part", ignore_errors=True)  # of two codes
