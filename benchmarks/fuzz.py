@@ -12,6 +12,7 @@ rlco's own. All else is printed with its number: reader and seed make it again.
 from __future__ import annotations
 
 import multiprocessing
+import os
 import random
 import re
 import shutil
@@ -23,7 +24,7 @@ from collections import Counter
 from multiprocessing.connection import Connection
 from pathlib import Path
 
-HANG = 10.0  # [s]
+HANG = 10.0  # of the processor, and sixfold of a machine that is busy [s]
 MEMORY = 1_000_000  # beyond the file's own size [kB]
 _EXTREME = (
     *("0", "-1", "1e400", "-1e308", "nan", "null", "true", '""', "[]", "{}", "x"),
@@ -152,14 +153,26 @@ class Worker:
         theirs.close()
         self._ours.recv()  # ready
 
+    def _busy(self) -> float:
+        """Return how long a processor has worked for the process [s]."""
+        text = Path(f"/proc/{self._process.pid}/stat").read_text("utf-8")
+        # After its name: user and system time, its own and of children that ended.
+        ticks = text.rpartition(")")[2].split()[11:15]
+        return sum(map(int, ticks)) / os.sysconf("SC_CLK_TCK")
+
     def attempt(self, name: str, whole: Path, seed: int) -> tuple[str, str]:
         """Return the outcome of an attempt, and what was said."""
         self._ours.send((name, whole, seed))
         try:
-            if self._ours.poll(HANG):
+            began, busy = time.monotonic(), self._busy()
+            while not self._ours.poll(0.5):
+                waited = time.monotonic() - began
+                if self._busy() - busy > HANG or waited > 6 * HANG:
+                    outcome = "hang"
+                    break
+            else:
                 answer: tuple[str, str] = self._ours.recv()
                 return answer
-            outcome = "hang"
         except EOFError:
             outcome = "crash"
         self._process.kill()

@@ -36,6 +36,10 @@ class Column:
     source: str = ""
 
 
+#: What a number of a log may be: squares and products of such are finite, too.
+LARGEST = 1e30
+
+
 @dataclass(frozen=True)
 class Table:
     """One recording as its file has it.
@@ -62,13 +66,21 @@ class Table:
 
 
 def require_finite(where: str, header: str, values: Array, time: Array | None) -> None:
-    """Raise if a column has a value that is not finite.
+    """Raise if a column has a value that is not finite, or one that nothing measures.
 
     Raises:
         DataError: Names the column and the first such row.
     """
     bad = ~np.isfinite(values)
     if not bad.any():
+        large = np.abs(values) > LARGEST
+        if large.any():
+            row = int(large.argmax())
+            raise DataError(
+                f"column {header!r} of {where} holds {values[row]:g} in row {row + 1}, "
+                "which nothing measures; correct it, or leave the column or these rows "
+                "out."
+            )
         return
     row = int(bad.argmax())
     known = time is not None and bool(np.isfinite(time[row]))

@@ -94,6 +94,18 @@ def test_nan_tells_the_column_and_the_row(tmp_path: Path) -> None:
     assert "in 2 of 300 rows, first in row 42 at 0.820 s" in told
 
 
+def test_a_number_that_nothing_measures_tells_the_column_and_the_row(
+    tmp_path: Path,
+) -> None:
+    elbow, late = POSITION[:, 1].copy(), TIME.copy()
+    elbow[41] = -1e308
+    told = refused(tmp_path, "column 'elbow' of 'a'", elbow=elbow)
+    assert "holds -1e+308 in row 42, which nothing measures" in told
+    late[-1] = 1e308
+    told = refused(tmp_path, "column 'time' of 'a'", time=late)
+    assert "holds 1e+308 in row 300" in told
+
+
 def test_nan_in_a_data_set_tells_the_number(tmp_path: Path) -> None:
     position = POSITION.copy()
     position[7, 2] = np.inf

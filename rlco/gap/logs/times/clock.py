@@ -25,6 +25,7 @@ _OTHER = 5.0  # standard errors between periods of loggers at different rates
 _MOST = 3.0  # standard errors within which a rate may be a whole number
 _WHOLE = 0.25  # ... if they are no more than this [1/s]
 _LOSS = 3.5  # cost of a row missing: the negative logarithm of three per cent
+_MOST_RATES = 1_000_000  # tried at most; an hour of rows at 1 kHz takes twelve thousand
 
 
 class Clock(NamedTuple):
@@ -126,6 +127,8 @@ def _loudest(stamps: Array) -> tuple[float, float] | None:
     # Rates whose phases differ by a quarter of a turn at the end.
     apart = 1.0 / (4.0 * float(np.ptp(stamps)))
     count = math.ceil(1.5 / math.sqrt(len(stamps)) / usual / apart)
+    if count > _MOST_RATES:  # a stamp of another age: no clock says that
+        return None
     coarse, _ = _peak(stamps, 1.0 / usual + apart * _around(count))
     rate, phase = _peak(stamps, coarse + apart * _around(16) / 16.0)
     if abs(phase) < _COHERENT:

@@ -113,3 +113,9 @@ def test_a_measurement_of_a_lost_row_is_left_out() -> None:
     (found,), _ = at_read_times([recording.take(np.arange(500) != 250)])
     assert found.rows == 498
     assert np.diff(found.time).max() == pytest.approx(3 * PERIOD)
+
+
+@pytest.mark.parametrize("late", [6.7e7, 1e12])
+def test_one_stamp_of_another_age_is_no_clock(late: float) -> None:
+    """To try all rates that it allows for would take hours, and any memory."""
+    assert clock_of(np.append(np.arange(200) * 0.05, late)) is None

@@ -1,0 +1,173 @@
+"""Train for long, and watch whether memory, threads, handles or files grow.
+
+    OMP_NUM_THREADS=1 uv run benchmarks/soak.py minutes=480 out=docs/figures
+    OMP_NUM_THREADS=1 uv run benchmarks/soak.py frames=2000000 num_envs=32
+
+The recipe rl_co runs as its users run it: rollouts, updates, tables, TensorBoard and a
+checkpoint after each, evaluations now and then. After each iteration this process and
+its run folder are measured. The first fifth, in which caches fill, is not judged: of
+the rest the slope of the memory is shown with its interval, and threads and handles
+must stay. `FOLDER/soak.csv` holds every measurement, `FOLDER/soak.png` shows them; the
+status is 1 if something grew.
+"""
+
+from __future__ import annotations
+
+import csv
+import importlib
+import os
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from rlco.run import Run, run_recipe
+
+RECIPES = Path(__file__).parents[1] / "recipes"
+NAMES = ("frames", "minutes", "memory_mb", "threads", "handles", "folder_mb", "files")
+#: Of the iterations, while caches fill.
+WARM = 0.2
+#: What the memory may grow by in eight hours' frames [MB].
+MOST = 100.0
+_MB = 2**20
+
+
+class Over(Exception):  # noqa: N818 - no error
+    """All was measured."""
+
+
+def measured(frames: int, began: float, folder: Path) -> dict[str, float]:
+    """Return what this process holds now, and its run's folder."""
+    pages = int(Path("/proc/self/statm").read_text("utf-8").split()[1])
+    files = [path for path in folder.rglob("*") if path.is_file()]
+    return {
+        "frames": frames,
+        "minutes": round((time.monotonic() - began) / 60, 3),
+        "memory_mb": round(pages * os.sysconf("SC_PAGE_SIZE") / _MB, 2),
+        "threads": len(os.listdir("/proc/self/task")),
+        "handles": len(os.listdir("/proc/self/fd")),
+        "folder_mb": round(sum(path.stat().st_size for path in files) / _MB, 2),
+        "files": len(files),
+    }
+
+
+def train(place: Path, given: dict[str, str]) -> list[dict[str, float]]:
+    """Train until as many minutes or frames are over; return the measurements."""
+    sys.path.insert(0, str(RECIPES))
+
+    def start(recipe: str, *options: str) -> None:
+        module: Any = importlib.import_module(recipe)
+        run_recipe(module.main, module.Config, options)
+
+    real = place / "real"
+    start("record_demos", "domain=stand_in", "episodes=2", f"out={real}")
+    first = ("sim_ratio=0", "updates=200", "eval_episodes=0", f"out={place / 'sft'}")
+    start("sft", f"real_demos={real}", *first)
+    minutes, frames = (float(given.get(n, "inf")) for n in ("minutes", "frames"))
+    if min(minutes, frames) == np.inf:
+        minutes = 480.0
+    rows: list[dict[str, float]] = []
+    began = time.monotonic()
+    save = Run.save_checkpoint
+
+    def save_and_measure(run: Run, step: int, state: Any, **options: Any) -> Path:
+        path = save(run, step, state, **options)
+        done = int(run._metrics.last["frames"])
+        rows.append(measured(done, began, run.path))
+        if rows[-1]["minutes"] >= minutes or done >= frames:
+            raise Over
+        return path
+
+    Run.save_checkpoint = save_and_measure  # type: ignore[method-assign]
+    options = [f"{k}={v}" for k, v in given.items() if k not in ("minutes", "frames")]
+    try:
+        start(
+            "rl_co",
+            f"policy={place / 'sft' / 'policy'}",
+            f"real_demos={real}",
+            "iterations=10000000",
+            "eval_every=50",
+            "eval_episodes=8",
+            *options,
+            f"out={place / 'run'}",
+        )
+    except Over:
+        pass
+    finally:
+        Run.save_checkpoint = save  # type: ignore[method-assign]
+    return rows
+
+
+def slope(rows: list[dict[str, float]], name: str) -> tuple[float, float]:
+    """Return by how much something grows in a million frames, and how sure that is.
+
+    Returns:
+        The slope of least squares, and the half of its interval of 95 %, from blocks
+        of a tenth each: neighbouring measurements are much alike.
+    """
+    frames = np.array([row["frames"] for row in rows]) / 1e6
+    values = np.array([row[name] for row in rows])
+    blocks = np.array_split(np.arange(len(rows)), 10)
+    x = np.array([frames[block].mean() for block in blocks])
+    y = np.array([values[block].mean() for block in blocks])
+    fit, covariance = np.polyfit(x, y, 1, cov=True)
+    return float(fit[0]), float(2.31 * np.sqrt(covariance[0, 0]))  # t, 8 of freedom
+
+
+def draw(rows: list[dict[str, float]], judged: int, path: Path) -> None:
+    """Draw memory, threads and handles over the frames."""
+    from rlco.reporting.plot_style import caption, new_figure, save_figure
+
+    figure, (left, right) = new_figure("A long training", 2, height=2.9)
+    frames = [row["frames"] / 1e6 for row in rows]
+    left.plot(frames, [row["memory_mb"] for row in rows])
+    left.axvline(frames[judged], linestyle=":", color="0.6")
+    left.set(xlabel="million frames", ylabel="memory [MB]", ylim=(0, None))
+    for name in ("threads", "handles"):
+        right.plot(frames, [row[name] for row in rows], label=name)
+    right.set(xlabel="million frames", ylim=(0, None))
+    right.legend(frameon=False)
+    caption(
+        figure, f"rl_co, push_cube, {len(rows)} iterations; judged from the line on"
+    )
+    save_figure(figure, path)
+
+
+def main() -> None:
+    given = dict(argument.split("=", 1) for argument in sys.argv[1:])
+    out = Path(given.pop("out", "."))
+    with tempfile.TemporaryDirectory() as place:
+        rows = train(Path(place), given)
+    with (out / "soak.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.DictWriter(file, NAMES)
+        writer.writeheader()
+        writer.writerows(rows)
+    judged = int(WARM * len(rows))
+    draw(rows, judged, out / "soak.png")
+    rest = rows[judged:]
+    print(f"{len(rows)} iterations, {rows[-1]['frames']:.0f} frames, ", end="")
+    print(f"{rows[-1]['minutes']:.0f} minutes; of the last four fifths:\n")
+    print(
+        "| | at first | at last | most | in a million frames |\n|---|---|---|---|---|"
+    )
+    grew = False
+    for name in NAMES[2:]:
+        values = [row[name] for row in rest]
+        rate, unsure = slope(rest, name)
+        print(f"| {name} | {values[0]:g} | {values[-1]:g} | {max(values):g} | ", end="")
+        print(f"{rate:+.3g} ± {unsure:.2g} |")
+        if name in ("threads", "handles"):
+            grew |= max(values) > max(values[: len(values) // 2])
+    rate, unsure = slope(rest, "memory_mb")
+    eight_hours = 480 / rows[-1]["minutes"] * rows[-1]["frames"] / 1e6
+    print(f"\nEight hours at this pace are {eight_hours:.1f} million frames: ", end="")
+    print(f"{rate * eight_hours:+.0f} ± {unsure * eight_hours:.0f} MB.")
+    grew |= (rate - unsure) * eight_hours > MOST
+    sys.exit(int(grew))
+
+
+if __name__ == "__main__":
+    main()
