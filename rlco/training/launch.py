@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
@@ -173,9 +174,12 @@ def learners(options: DividedOptions) -> Iterator[Ranks]:
         logging.getLogger("rlco").setLevel(logging.WARNING)
     try:
         yield ranks
-    except RuntimeError as error:
-        if (lost := lost_rank(error)) is None:
+    except (RuntimeError, KeyboardInterrupt) as error:
+        # torchrun asks the others to end, too, perhaps while this one notices.
+        lost = lost_rank(error) or lost_rank(error.__context__)
+        if lost is None:
             raise
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # it ends, and says why first
         raise lost from error
     finally:
         leave_ranks()

@@ -172,7 +172,7 @@ def leave_ranks() -> None:
         dist.destroy_process_group()
 
 
-def lost_rank(error: Exception) -> LostProcessError | None:
+def lost_rank(error: BaseException | None) -> LostProcessError | None:
     """Return an error that says that another rank has ended; None if none has.
 
     Example:
