@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.spec.domain import GivenDomain, make_domain, with_look
 from rlco.physics.spec.looks import GivenLook
 from rlco.physics.spec.names import Renderer
-from rlco.physics.spec.task import InitialState, SceneState, Task
+from rlco.physics.spec.task import Task
 from rlco.physics.tasks.demonstrate import (
     Demonstration,
     ExpertError,
@@ -26,7 +25,6 @@ from rlco.reporting.video import write_video
 
 Images = NDArray[np.uint8]
 _ONE = np.zeros(1, np.int64)  # the only world
-SIDE_BY_SIDE = 20  # episodes of the expert that run at once, at most
 
 
 def film_demonstrations(
@@ -74,21 +72,13 @@ def film_demonstrations(
     stage = NativeStepper(task, domain, num_envs=1, effects=effects)
     names = [camera] if isinstance(camera, str) else camera
     views = Views(stage, domain.look, image_size, cameras=names, renderer=renderer)
-    watch = _Watch(task, min(SIDE_BY_SIDE, episodes))
     demonstrations = demonstrate(
-        watch.task,
-        domain,
-        episodes=episodes,
-        seed=seed,
-        noise=noise,
-        num_envs=watch.count,
-        effects=effects,
+        task, domain, episodes=episodes, seed=seed, noise=noise, effects=effects
     )
 
     def films() -> Iterator[tuple[Demonstration, Any]]:
         for one in demonstrations:
-            start, number = watch.start_of(one)
-            images = _film(stage, views, (seed, number), start, one)
+            images = _film(stage, views, task, seed, one)
             yield one, images[camera] if isinstance(camera, str) else images
 
     return films()
@@ -118,55 +108,16 @@ def film_failure(
     """
     stage = NativeStepper(task, domain, num_envs=1, effects=effects)
     views = Views(stage, stage.domain.look, image_size)
-    key = failure.seed, failure.episode.number
-    start = task.sample(np.random.default_rng(key), None)
-    (images,) = _film(stage, views, key, start, failure.episode.demonstration).values()
+    played = failure.episode.demonstration
+    (images,) = _film(stage, views, task, failure.seed, played).values()
     write_video(path, images.transpose(0, 2, 3, 1), task.control_frequency)
-
-
-class _Watch:
-    """Remembers how the expert's episodes start, and which of them succeed."""
-
-    def __init__(self, task: Task, count: int) -> None:
-        self.count = count
-        self._inner = task
-        self._starts: list[InitialState] = []
-        self._success: NDArray[np.bool_] = np.zeros(0, np.bool_)
-        self._batch, self._next = 0, 0
-        self.task = replace(task, sample=self._sample, success=self._solved)
-
-    def _sample(self, rng: np.random.Generator, variation: str | None) -> InitialState:
-        self._starts.append(self._inner.sample(rng, variation))
-        return self._starts[-1]
-
-    def _solved(self, state: SceneState) -> NDArray[np.bool_]:
-        self._success = self._inner.success(state)
-        return self._success
-
-    def start_of(self, demonstration: Demonstration) -> tuple[InitialState, int]:
-        """Return how the demonstration that was just yielded started, and its number.
-
-        They come in the order of their batch. One that succeeded and was passed over
-        has an instruction that no later one has.
-        """
-        if len(self._starts) != self._batch:
-            self._batch, self._next = len(self._starts), 0
-        texts, batch = self._inner.instructions, self._starts[-self.count :]
-        while not (
-            self._success[self._next]
-            and texts[batch[self._next].instruction_id] == demonstration.instruction
-        ):
-            self._next += 1
-        number = len(self._starts) - len(batch) + self._next
-        self._next += 1
-        return batch[self._next - 1], number
 
 
 def _film(
     stage: NativeStepper,
     views: Views,
-    key: tuple[int, int],
-    start: InitialState,
+    task: Task,
+    seed: int,
     played: Demonstration,
 ) -> dict[str, Images]:
     """Return images of each state in which an action was taken, by camera.
@@ -174,13 +125,14 @@ def _film(
     Args:
         stage: One world.
         views: Its cameras.
-        key: Seed and number of the episode, which draw a look and the sensor's noise.
-        start: How it starts.
+        task: The task.
+        seed: Of its episodes: with the episode's number it draws how it starts, its
+            look and the noise of its images.
         played: What happens in it.
     """
-    seed, number = key
-    views.start(_ONE, seed, [number])
-    stage.reset([start])
+    views.start(_ONE, seed, [played.episode])
+    rng = np.random.default_rng([seed, played.episode])
+    stage.reset([task.sample(rng, None)])
     images: dict[str, list[Images]] = {name: [] for name in views.images}
     for step, action in enumerate(played.action):
         views.draw(_ONE, np.array([step]))

@@ -40,6 +40,8 @@ class Demonstration:
         action: Command, shape (L, A), in [-1, 1].
         instruction: The instruction's text.
         success: Whether the task was solved at the end.
+        episode: Its number: it starts as
+            ``task.sample(default_rng([seed, episode]), None)``.
     """
 
     state: Array
@@ -47,6 +49,7 @@ class Demonstration:
     action: Array
     instruction: str
     success: bool
+    episode: int
 
 
 @dataclass(frozen=True)
@@ -242,6 +245,7 @@ def _batch(
             action=np.stack(action)[:length, i],
             instruction=texts[i],
             success=bool(success[-1, i]),
+            episode=first + i,
         )
         out.append(Episode(first + i, demonstration, bool(stopped[i])))
     return out

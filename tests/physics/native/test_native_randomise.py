@@ -242,6 +242,14 @@ def test_what_is_refused_changes_nothing(
             "actuator_ctrlrange cannot differ between worlds",
         ),
         ("geom_size", 0.1, "geom_size cannot differ between worlds"),
+        # By which a renderer would read or divide wrongly.
+        ("mat_texid", 99, "mat_texid has values that are none of the model's"),
+        ("mat_texid", 0.5, "give whole numbers from -1 to 5"),
+        ("light_type", 3, "light_type has values that are none .* from 0 to 2"),
+        ("cam_fovy", 0.0, r"cam_fovy has values outside \(0, 180\)"),
+        ("cam_intrinsic", 0.0, "cam_intrinsic has focal lengths of 0"),
+        ("cam_sensorsize", -1.0, "cam_sensorsize has negative values"),
+        ("headlight", np.ones(3), r"headlight has shape \(3,\); give \(3, 3\)"),
     ],
 )
 def test_patches_that_are_refused_change_nothing(

@@ -18,6 +18,7 @@ from rlco.physics.spec.domain import (
     Domain,
     make_domain,
     with_effects,
+    with_look,
     write_domain,
 )
 from rlco.physics.spec.sensors import Sensors
@@ -67,11 +68,14 @@ def test_sensors_that_a_file_leaves_out_are_those_of_sim(tmp_path: Path) -> None
     assert expected.object_noise == make_domain("sim").sensors.object_noise > 0.0
 
 
-def test_sensors_make_it_a_file_that_older_readers_refuse(tmp_path: Path) -> None:
+def test_sensors_and_a_look_make_it_a_file_that_older_readers_refuse(
+    tmp_path: Path,
+) -> None:
     path = tmp_path / "robot.yaml"
-    write_domain(path, STAND_IN)
-    assert "version: 2" in path.read_text()
-    assert read_effects(path).effects == STAND_IN.effects
+    for domain, version in ((STAND_IN, 3), (with_look(STAND_IN, "sim"), 2)):
+        write_domain(path, domain)
+        assert f"version: {version}" in path.read_text()
+        assert read_effects(path).effects == STAND_IN.effects
 
 
 def test_effects_are_added_to_a_domain() -> None:

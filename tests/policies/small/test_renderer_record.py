@@ -24,7 +24,11 @@ def test_a_policy_is_evaluated_with_the_renderer_that_it_was_trained_with(
 ) -> None:
     save_policy(seeing(renderer="raster", camera="agentview"), tmp_path)
     policy, _ = load_policy(tmp_path)
-    assert read_by(policy) == {"image_size": (64, 64), "renderer": "raster"}
+    assert read_by(policy) == {
+        "image_size": (64, 64),
+        "renderer": "raster",
+        "cameras": ("agentview",),
+    }
     assert read_by(policy, "opengl")["renderer"] == "opengl"
 
 
