@@ -60,8 +60,8 @@ def test_what_was_recorded_is_what_the_environment_shows(recorded: Path) -> None
     td = env.reset()
     for row in range(5):
         for key in KEYS:
-            # PNG keeps bytes; actions are kept with 32 bits, so that later states
-            # differ by that, and hardly a byte.
+            # PNG keeps bytes; actions are kept in 32 bits, so that later states differ
+            # by a rounding, and hardly a byte.
             same = rows[key][row] == td[key][0]
             assert same.all() if row == 0 else same.float().mean() > 0.99
         action = rows[ACTION][row].view(1, 1, 7)
