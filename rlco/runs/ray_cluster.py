@@ -7,7 +7,9 @@ import logging
 import os
 from typing import Any
 
-from rlco.errors import ConfigError
+from rlco.errors import ConfigError, LostProcessError
+
+log = logging.getLogger("rlco.runs")
 
 #: Ray's uv hook may start workers on another Python; nobody is told of a run; and a
 #: worker is as nice as the process that started its cluster, not by 15 more.
@@ -18,6 +20,9 @@ _SETTINGS = {
 }
 #: Of a local cluster, for rollouts on their way and for weights [bytes].
 _STORE = 512 * 2**20
+_ATTEMPTS = 3
+#: What Ray says of a start that took too long.
+_SLOW = "timed out during startup"
 
 
 def check_ray() -> None:
@@ -59,19 +64,15 @@ def connect(address: str | None, processors: int) -> bool:
 
     Raises:
         ConfigError: There is no cluster at the address.
+        LostProcessError: The cluster's own processes did not start in time, though it
+            was tried three times.
     """
     ray = import_ray()
     if ray.is_initialized():
         return False
     shared = {"log_to_driver": False, "logging_level": logging.ERROR}
     if address is None:
-        ray.init(
-            address="local",
-            num_cpus=processors,
-            include_dashboard=False,
-            object_store_memory=_STORE,
-            **shared,
-        )
+        _start(num_cpus=processors, **shared)
         return True
     try:
         ray.init(address=address, **shared)
@@ -84,6 +85,37 @@ def connect(address: str | None, processors: int) -> bool:
             ]
         ) from error
     return True
+
+
+def _start(**options: Any) -> None:
+    """Start a cluster here, again where one of its processes was too slow.
+
+    Ray gives each 15 s and cannot be told to wait longer. Its first start on a machine
+    compiles a thousand modules meanwhile, the second finds them compiled.
+    """
+    ray = import_ray()
+    for attempt in range(_ATTEMPTS):
+        try:
+            ray.init(
+                address="local",
+                include_dashboard=False,
+                object_store_memory=_STORE,
+                **options,
+            )
+        except Exception as error:  # Ray's own class of this one
+            if _SLOW not in str(error):
+                raise
+            ray.shutdown()
+            if attempt == _ATTEMPTS - 1:
+                raise LostProcessError(
+                    f"Ray did not start in {_ATTEMPTS} attempts ({_first(error)}); "
+                    "this machine has too much else to do: try again when it has less, "
+                    "or start a cluster with `ray start --head` and give "
+                    "ray_address=auto."
+                ) from error
+            log.warning("Ray did not start in time; it is tried again")
+        else:
+            return
 
 
 def disconnect() -> None:
