@@ -138,4 +138,5 @@ def _meta(lengths: list[int]) -> DemoMeta:
         episode_lengths=tuple(int(length) for length in lengths),
         chunk=CHUNK,
         image_key=None,
+        recorded={},
     )

@@ -46,7 +46,10 @@ def import_ray() -> Any:
     for name, value in _SETTINGS.items():
         os.environ.setdefault(name, value)
     import ray
+    from ray._private import ray_constants
 
+    # TorchRL has imported Ray before, which reads this variable as it is imported.
+    ray_constants.RAY_ENABLE_UV_RUN_RUNTIME_ENV = False
     return ray
 
 

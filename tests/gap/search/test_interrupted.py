@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
 import pytest
 from small_problems import Interruptible, arm_problem
 
@@ -48,7 +49,9 @@ def steps(problem: Interruptible) -> list[Step]:
 
 def same(one: Verdict, other: Verdict) -> bool:
     """Whether two verdicts say the same, but for how long they took."""
-    return {**vars(one), "seconds": 0} == {**vars(other), "seconds": 0}
+    drawn = [np.zeros(0) if v.sample is None else v.sample for v in (one, other)]
+    rest = [{**vars(v), "seconds": 0, "sample": None} for v in (one, other)]
+    return rest[0] == rest[1] and np.array_equal(*drawn)
 
 
 @pytest.mark.slow
