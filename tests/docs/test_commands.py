@@ -45,7 +45,7 @@ LESS: dict[str, dict[str, object]] = {
         **{"iterations": 1, "num_envs": 2, "eval_every": 1, "curve_episodes": 2},
         **{"eval_episodes": 2, "film": "false"},
     },
-    "find_gap": {},
+    "find_gap": {"film": "false"},
     "compare": {"hours": 0},
     "record_logs": {"recordings": 2, "seconds": 4.0},
     "close_loop": {
