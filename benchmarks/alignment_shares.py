@@ -91,7 +91,8 @@ def planar_share(gap: str, seed: int) -> float:
 
     from rlco.run import Run
     from rlco.training.alignment import explained
-    from rlco.training.stage_one import StageOneDemos, StageOneOptions, train_stage_one
+    from rlco.training.options.stage_one_options import StageOneOptions
+    from rlco.training.stage_one import StageOneDemos, train_stage_one
 
     config = Planar(gap=gap, seed=seed)
     real = recorded_of(config)["real"]

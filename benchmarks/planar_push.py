@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from rlco.data import DemoReplayBuffer
     from rlco.policies import ChunkPolicy
-    from rlco.training.stage_two import StageTwoOptions
+    from rlco.training.options.stage_two_options import StageTwoOptions
 
 log = logging.getLogger("rlco.planar_push")
 
@@ -129,11 +129,8 @@ def imitate(
     """Return a policy of Stage I, saved to ``stages/METHOD/policy``."""
     from planar.env import CHUNK, PlanarTask
 
-    from rlco.training.stage_one import (
-        StageOneDemos,
-        StageOneOptions,
-        train_stage_one,
-    )
+    from rlco.training.options.stage_one_options import StageOneOptions
+    from rlco.training.stage_one import StageOneDemos, train_stage_one
 
     options = StageOneOptions(
         name=method,
@@ -165,7 +162,7 @@ def stage_two(config: Config) -> None:
     from rlco.policies import load_task_policy, save_policy
     from rlco.training.held_out import HeldOut
     from rlco.training.iterations import co_train
-    from rlco.training.stage_two import StageTwoOptions
+    from rlco.training.options.stage_two_options import StageTwoOptions
 
     policy = load_task_policy(str(config.policy), PlanarTask())
     demos = record(config)

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rlco.run import Run, run_recipe
 from rlco.runs.config import REQUIRED, folder_name, option
 from rlco.runs.indices import format_indices, index_list
-from rlco.training.policy_options import PolicyOptions, group_values
-from rlco.training.stage_one import StageOneOptions
+from rlco.training.options.policy_options import PolicyOptions, group_values
+from rlco.training.options.stage_one_options import StageOneOptions
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -21,8 +21,8 @@ from typing import TYPE_CHECKING, Any
 
 from rlco.run import Run, run_recipe
 from rlco.runs.config import folder_name, option
-from rlco.training.policy_options import KindOptions, group_values
-from rlco.training.stage_one import StageOneOptions
+from rlco.training.options.policy_options import KindOptions, group_values
+from rlco.training.options.stage_one_options import StageOneOptions
 
 if TYPE_CHECKING:
     from rlco.physics.effects import AppliedEffect

@@ -74,7 +74,7 @@ def main(config: Config) -> None:
     from rlco.physics.effects import load_code
     from rlco.physics.tasks.named_task import named_task
     from rlco.policies import load_task_policy
-    from rlco.training.policy_options import (
+    from rlco.training.options.policy_options import (
         check_filmed,
         check_look,
         check_rendered,

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Literal
 from rlco.errors import ConfigError
 from rlco.run import Run, run_recipe
 from rlco.runs.config import REQUIRED, RunOptions, folder_name, option
-from rlco.training.policy_options import LARGEST_LR
+from rlco.training.options.policy_options import LARGEST_LR
 
 if TYPE_CHECKING:
     from rlco.physics.spec.domain import Domain

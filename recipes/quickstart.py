@@ -20,14 +20,14 @@ from typing import TYPE_CHECKING, Any, Literal
 from rlco.errors import ConfigError, RenderingError, UnknownNameError
 from rlco.run import Run, run_recipe
 from rlco.runs.config import distinct, folder_name, option
-from rlco.training.policy_options import (
+from rlco.training.options.policy_options import (
     AugmentOptions,
     PolicyOptions,
     camera_list,
     group_values,
 )
-from rlco.training.stage_one import StageOneOptions
-from rlco.training.stage_two import StageTwoOptions
+from rlco.training.options.stage_one_options import StageOneOptions
+from rlco.training.options.stage_two_options import StageTwoOptions
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

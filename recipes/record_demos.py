@@ -66,7 +66,7 @@ def main(config: Config) -> None:
     """Record, then say what was recorded."""
     from rlco.data import record_demonstrations
     from rlco.physics.effects import load_code
-    from rlco.training.policy_options import camera_list, check_look
+    from rlco.training.options.policy_options import camera_list, check_look
 
     load_code(config.effects_code)
     check_look(config.look, config.image_size)

@@ -17,14 +17,14 @@ import logging
 from typing import TYPE_CHECKING
 
 from rlco.run import Run, run_recipe
-from rlco.training.stage_two import StageTwoOptions as Config
+from rlco.training.options.stage_two_options import StageTwoOptions as Config
 
 if TYPE_CHECKING:
     from rlco.physics.spec.domain import Domain
     from rlco.policies import ChunkPolicy
     from rlco.reporting.statistics import ResultRow
-    from rlco.training.following import FollowingRun
-    from rlco.training.ranks import Ranks
+    from rlco.training.distributed.following import FollowingRun
+    from rlco.training.distributed.ranks import Ranks
     from rlco.training.stage_two import StageTwoDemos
 
 log = logging.getLogger("rlco.rl_co")
@@ -34,9 +34,9 @@ def main(config: Config) -> None:
     """Load, train, and say how it went."""
     from rlco.evaluation import evaluation_domains
     from rlco.physics.effects import load_code
-    from rlco.training.following import FollowingRun
+    from rlco.training.distributed.following import FollowingRun
+    from rlco.training.distributed.launch import check_launch, learners
     from rlco.training.kept_policy import check_keep
-    from rlco.training.launch import check_launch, learners
     from rlco.training.stage_two import load_stage_two
 
     # What is wrong shows before a folder is made.
@@ -86,10 +86,10 @@ def train(
     from rlco.evaluation import evaluation_envs, final_rows, read_by, success_rates
     from rlco.losses import CoTrainingLoss, ImitationLoss
     from rlco.policies import save_policy
+    from rlco.training.distributed.launch import own_options
     from rlco.training.held_out import HeldOut
     from rlco.training.iterations import co_train
     from rlco.training.kept_policy import best_policy
-    from rlco.training.launch import own_options
     from rlco.training.stage_two import (
         fix_pose_range,
         make_critic,

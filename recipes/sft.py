@@ -17,7 +17,7 @@ import logging
 from typing import TYPE_CHECKING
 
 from rlco.run import Run, run_recipe
-from rlco.training.stage_one import StageOneOptions as Config
+from rlco.training.options.stage_one_options import StageOneOptions as Config
 
 if TYPE_CHECKING:
     from rlco.physics.spec.domain import Domain

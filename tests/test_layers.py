@@ -15,7 +15,7 @@ WITHOUT_TORCH = (
     "rlco.keys",
     "rlco.errors",
     "rlco.runs.config",
-    "rlco.training.policy_options",
+    "rlco.training.options.policy_options",
     "rlco.training.stage_one",
     "rlco.training.stage_two",
     "rlco.run",

@@ -10,7 +10,7 @@ from torchrl.objectives.llm import MCAdvantage
 
 from rlco import keys
 from rlco.errors import NoSignalError
-from rlco.training.ranks import Ranks
+from rlco.training.distributed.ranks import Ranks
 
 #: By a critic and GAE, or by Monte-Carlo returns within groups, without a critic.
 Advantage = Literal["gae", "mc"]

@@ -14,7 +14,7 @@ from rlco.collectors.rollouts import RolloutCollector
 from rlco.envs import make_env
 from rlco.physics.spec.domain import make_domain
 from rlco.physics.tasks.named_task import training_horizon
-from rlco.training.ranks import Ranks
+from rlco.training.distributed.ranks import Ranks
 
 
 class CollectorOptions(Protocol):

@@ -25,7 +25,7 @@ from rlco.errors import LostProcessError, RlcoError
 from rlco.physics.effects import load_code
 from rlco.runs.ray_cluster import connect, disconnect, import_ray
 from rlco.runs.state_files import seed_everything
-from rlco.training.ranks import lost_rank
+from rlco.training.distributed.ranks import lost_rank
 
 log = logging.getLogger("rlco.collectors")
 

@@ -18,7 +18,7 @@ from rlco.envs import check_action_units
 from rlco.envs.chunk_env import ChunkEnv
 from rlco.errors import ConfigError, DataError
 from rlco.policies import ValueHead
-from rlco.training.ranks import Ranks
+from rlco.training.distributed.ranks import Ranks
 
 if TYPE_CHECKING:
     from rlco.collectors.ray_rollouts import RayWorkers

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Protocol
 
 from rlco import keys
-from rlco.training.ranks import Ranks
+from rlco.training.distributed.ranks import Ranks
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase

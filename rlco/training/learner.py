@@ -20,8 +20,8 @@ from rlco.losses.gradient_agreement import gradient_agreement
 from rlco.losses.gradient_signal import LEAST_GROUPS, gradient_signal
 from rlco.losses.log_probs import log_probs
 from rlco.training.anchor_weight import AnchorWeight
-from rlco.training.joint_loss import JointLoss
-from rlco.training.ranks import Ranks
+from rlco.training.distributed.joint_loss import JointLoss
+from rlco.training.distributed.ranks import Ranks
 
 #: Clip of the critic's gradient norm: it cuts off outliers and nothing else.
 CRITIC_GRAD_NORM = 10.0

@@ -18,7 +18,7 @@ from rlco.errors import ConfigError, NonFiniteError
 from rlco.losses import log_probs
 from rlco.policies import GaussianPolicy, ValueNetwork
 from rlco.runs.ray_cluster import connect
-from rlco.training.ranks import Ranks
+from rlco.training.distributed.ranks import Ranks
 
 pytestmark = pytest.mark.slow
 

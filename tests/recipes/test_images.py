@@ -19,7 +19,7 @@ from rlco.keys import ENVIRONMENT_STATE, IMAGE
 from rlco.physics.tasks.make_task import make_task
 from rlco.policies import load_policy
 from rlco.runs.metrics import read_metrics
-from rlco.training.policy_options import FlowOptions
+from rlco.training.options.policy_options import FlowOptions
 from rlco.training.stage_one import new_policy
 
 SEEN = ("image=conv", "image_size=64")

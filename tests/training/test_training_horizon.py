@@ -12,7 +12,8 @@ from rlco.collectors import make_collector
 from rlco.data import load_demos, record_demonstrations
 from rlco.physics.tasks import push_cube
 from rlco.policies import GaussianPolicy
-from rlco.training.stage_two import StageTwoOptions, rollout_rows, warn_of_cut_off
+from rlco.training.options.stage_two_options import StageTwoOptions
+from rlco.training.stage_two import rollout_rows, warn_of_cut_off
 
 SLOW = replace(push_cube.TASK, name="slow", horizon=150, training_horizon=None)
 

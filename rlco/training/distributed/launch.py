@@ -14,7 +14,7 @@ from rlco.errors import ConfigError
 from rlco.runs.config import RunOptions, option
 
 if TYPE_CHECKING:
-    from rlco.training.ranks import Ranks
+    from rlco.training.distributed.ranks import Ranks
 
 _START = "torchrun --nproc-per-node=2 recipes/rl_co.py launch=torchrun ..."
 
@@ -144,8 +144,10 @@ def own_options[C: DividedOptions](options: C, ranks: Ranks) -> C:
     """Return a rank's own part of options that are of all ranks together.
 
     Example:
-        >>> from rlco.training.ranks import Ranks
-        >>> from rlco.training.stage_two import StageTwoOptions
+        >>> from rlco.training.distributed.ranks import Ranks
+        >>> from rlco.training.options.stage_two_options import (
+        ...     StageTwoOptions,
+        ... )
         >>> options = StageTwoOptions(policy="policy", num_envs=32)
         >>> own_options(options, Ranks(rank=1, count=4)).num_envs
         8
@@ -164,7 +166,12 @@ def learners(options: DividedOptions) -> Iterator[Ranks]:
     Raises:
         LostProcessError: One of them ended before the others.
     """
-    from rlco.training.ranks import Ranks, join_ranks, leave_ranks, lost_rank
+    from rlco.training.distributed.ranks import (
+        Ranks,
+        join_ranks,
+        leave_ranks,
+        lost_rank,
+    )
 
     if options.launch != "torchrun":
         yield Ranks(seed=options.seed)

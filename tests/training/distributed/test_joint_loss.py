@@ -23,8 +23,8 @@ from torchrl.objectives import ClipPPOLoss
 from rlco.collectors.advantages import normalize
 from rlco.errors import ConfigError
 from rlco.losses import CoTrainingLoss, ImitationLoss
-from rlco.training.joint_loss import JointLoss
-from rlco.training.ranks import Ranks, join_ranks, leave_ranks
+from rlco.training.distributed.joint_loss import JointLoss
+from rlco.training.distributed.ranks import Ranks, join_ranks, leave_ranks
 
 pytestmark = pytest.mark.slow
 
@@ -208,7 +208,7 @@ def test_a_functional_loss_is_refused() -> None:
 
 
 def test_of_padding_alone_nothing_is_counted() -> None:
-    from rlco.training.joint_loss import counted
+    from rlco.training.distributed.joint_loss import counted
 
     loss, _ = make_case(functional=False)
     rows = demonstrations(2)

@@ -13,7 +13,7 @@ from torchrl.objectives import LossModule
 from rlco.errors import ConfigError
 from rlco.keys import SIM
 from rlco.losses.co_training import CoTrainingLoss
-from rlco.training.ranks import Ranks, connected
+from rlco.training.distributed.ranks import Ranks, connected
 
 #: A loss names the mask of the steps that it leaves out by one of these.
 _MASKS = ("is_pad", "pad_mask")

@@ -7,9 +7,9 @@ from typing import Any
 import pytest
 
 from rlco.errors import ConfigError
-from rlco.training.launch import check_launch, own_options
-from rlco.training.ranks import Ranks
-from rlco.training.stage_two import StageTwoOptions
+from rlco.training.distributed.launch import check_launch, own_options
+from rlco.training.distributed.ranks import Ranks
+from rlco.training.options.stage_two_options import StageTwoOptions
 
 BY_TORCHRUN = {"TORCHELASTIC_RUN_ID": "here", "WORLD_SIZE": "4"}
 

@@ -1,0 +1,1 @@
+"""Learning in several processes: who is one of them, and what they share."""
