@@ -25,6 +25,7 @@ from rlco.lerobot_files import iterate_images, read_columns, read_folder
 from rlco.physics.spec.domain import STAND_IN, read_domain, write_domain
 from rlco.policies import load_policy, make_policy, save_policy
 from rlco.reporting.report import write_report
+from rlco.reporting.statistics import ResultRow
 from rlco.run import Run
 from rlco.runs.config import RunOptions, parse, to_yaml
 from rlco.runs.state_files import load_state, save_state
@@ -193,13 +194,21 @@ def write_policy(folder: Path) -> None:
 
 
 def write_run(folder: Path) -> None:
-    row = {"method": "sft", "domain": "sim", "task": "push_cube", "policy": "gaussian"}
-    counts = {"variation": None, "seed": 0, "episodes": 8, "successes": 5}
+    row = ResultRow(
+        method="sft",
+        domain="sim",
+        task="push_cube",
+        policy="gaussian",
+        variation=None,
+        seed=0,
+        episodes=8,
+        successes=5,
+    )
     with Run(RunOptions(out=str(folder / "run")), "demo") as run:
         for step in (1, 2):
             run.log_metrics(step, {"loss": 1 / step, "success": 0.5})
             run.save_checkpoint(step, {"weight": torch.arange(8.0)})
-        run.save_results([row | counts])  # type: ignore[list-item]
+        run.save_results([row])
     for left in (folder / "run/tb").glob("*"):
         left.unlink()  # written anew, never read
 

@@ -114,7 +114,7 @@ def start(recipe: str, options: list[str], log: Path) -> int:
         status = 0
     except SystemExit as stop:
         status = stop.code if isinstance(stop.code, int) else 1
-    except BaseException:  # noqa: BLE001 - what it is, the log says
+    except BaseException:  # noqa: BLE001 - a fork must not run on in this script
         traceback.print_exc()
     finally:
         sys.stdout.flush()
@@ -285,16 +285,21 @@ def few_effects() -> Iterator[None]:
         rlco.gap.run_gap = whole
 
 
+#: Modules that recipes import when they are under way.
+WARM = (
+    "torch.utils.tensorboard",
+    "rlco.collectors",
+    "rlco.evaluation",
+    "rlco.training.learner",
+    "rlco.training.stage_one",
+    "rlco.training.stage_two",
+)
+
+
 def warm(recipes: list[str]) -> None:
     """Load what the recipes load, and their compiled functions, before any fork."""
-    for recipe in recipes:
-        importlib.import_module(recipe)
-    importlib.import_module("torch.utils.tensorboard")
-    import rlco.collectors
-    import rlco.evaluation
-    import rlco.training.learner
-    import rlco.training.stage_one
-    import rlco.training.stage_two  # noqa: F401
+    for module in (*recipes, *WARM):
+        importlib.import_module(module)
     from rlco.envs import make_env
 
     env = make_env("push_cube", num_envs=1, horizon=2, threads=1)

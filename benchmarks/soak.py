@@ -16,15 +16,18 @@ from __future__ import annotations
 import csv
 import importlib
 import os
+import signal
 import sys
 import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from rlco.run import Run, run_recipe
+from rlco.run import run_recipe
+from rlco.runs.checkpoints import checkpoint_files
 
 RECIPES = Path(__file__).parents[1] / "recipes"
 NAMES = ("frames", "minutes", "memory_mb", "threads", "handles", "folder_mb", "files")
@@ -33,10 +36,6 @@ WARM = 0.2
 #: What the memory may grow by in eight hours' frames [MB].
 MOST = 100.0
 _MB = 2**20
-
-
-class Over(Exception):  # noqa: N818 - no error
-    """All was measured."""
 
 
 def measured(frames: int, began: float, folder: Path) -> dict[str, float]:
@@ -70,18 +69,9 @@ def train(place: Path, given: dict[str, str]) -> list[dict[str, float]]:
     if min(minutes, frames) == np.inf:
         minutes = 480.0
     rows: list[dict[str, float]] = []
-    began = time.monotonic()
-    save = Run.save_checkpoint
-
-    def save_and_measure(run: Run, step: int, state: Any, **options: Any) -> Path:
-        path = save(run, step, state, **options)
-        done = int(run._metrics.last["frames"])
-        rows.append(measured(done, began, run.path))
-        if rows[-1]["minutes"] >= minutes or done >= frames:
-            raise Over
-        return path
-
-    Run.save_checkpoint = save_and_measure  # type: ignore[method-assign]
+    run, over = place / "run", threading.Event()
+    watched = threading.Thread(target=watch, args=(run, rows, minutes, frames, over))
+    watched.start()
     options = [f"{k}={v}" for k, v in given.items() if k not in ("minutes", "frames")]
     try:
         start(
@@ -92,13 +82,44 @@ def train(place: Path, given: dict[str, str]) -> list[dict[str, float]]:
             "eval_every=50",
             "eval_episodes=8",
             *options,
-            f"out={place / 'run'}",
+            f"out={run}",
         )
-    except Over:
-        pass
+    except SystemExit as end:
+        if end.code != 128 + signal.SIGINT:  # that is `watch`
+            raise
     finally:
-        Run.save_checkpoint = save  # type: ignore[method-assign]
+        over.set()
+        watched.join()
     return rows
+
+
+def watch(
+    run: Path,
+    rows: list[dict[str, float]],
+    minutes: float,
+    frames: float,
+    over: threading.Event,
+) -> None:
+    """Measure after each checkpoint; end the training as Ctrl-C does."""
+    began, last = time.monotonic(), -1
+    while not over.wait(0.05):
+        newest = max(checkpoint_files(run / "checkpoints"), default=-1)
+        if newest == last:
+            continue
+        last = newest
+        rows.append(measured(_frames(run / "metrics.csv"), began, run))
+        if rows[-1]["minutes"] >= minutes or rows[-1]["frames"] >= frames:
+            os.kill(os.getpid(), signal.SIGINT)
+            return
+
+
+def _frames(table: Path) -> int:
+    """Return the frames of a table's last whole row."""
+    with table.open("rb") as file:
+        names = file.readline().decode().strip().split(",")
+        file.seek(max(file.tell(), table.stat().st_size - 4096))
+        row = file.read().decode().rpartition("\n")[0].rpartition("\n")[2]
+    return int(float(row.split(",")[names.index("frames")]))
 
 
 def slope(rows: list[dict[str, float]], name: str) -> tuple[float, float]:

@@ -8,7 +8,6 @@ from __future__ import annotations
 import inspect
 import logging
 import os
-import shutil
 import signal
 import sys
 import time
@@ -17,8 +16,6 @@ from dataclasses import replace
 from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
-
-from tqdm import tqdm
 
 from rlco.errors import NonFiniteError, RlcoError
 from rlco.reporting.headless import choose_gl
@@ -32,7 +29,7 @@ from rlco.runs.endings import (
     stop_on_signals,
     storage_problem,
 )
-from rlco.runs.metrics import MetricsFile
+from rlco.runs.progress import Progress
 from rlco.runs.resumed import (
     check_checkpoint,
     check_unchanged,
@@ -40,19 +37,13 @@ from rlco.runs.resumed import (
     options_by_name,
 )
 from rlco.runs.run_log import LogFile, Printable
+from rlco.runs.tables import Tables
 from rlco.runs.whole_files import json_text, remove_parts, write_json, write_text
 
 if TYPE_CHECKING:
-    from torch.utils.tensorboard import SummaryWriter
-
     from rlco.reporting.statistics import ImitationRow, ResultRow
 
 log = logging.getLogger("rlco.run")
-# What a row of metrics.csv shows beside the bar.
-_SHOWN = ("success", "loss", "imitation_error")
-
-#: Between lines on the progress of a run where there is no terminal for a bar [s].
-QUIET = 15.0
 
 
 def run_recipe[C](
@@ -145,7 +136,7 @@ class Run:
         self, config: RunOptions, recipe: str, *, root: Path = Path("outputs")
     ) -> None:
         self.recipe = recipe
-        self._called = recipe  # where its progress is shown
+        self._progress = Progress(recipe)
         self.resumed = config.resume is not None
         self._keep = config.keep_checkpoints
         if config.resume is not None:
@@ -192,14 +183,10 @@ class Run:
             self.checkpoints, self._info.get("checkpoint")
         )
         remove_parts(self.path)
-        self._metrics = MetricsFile(self.path / "metrics.csv", keep_to=self.step)
-        self._timings = MetricsFile(self.path / "timings.csv", keep_to=self.step)
+        self._tables = Tables(self.path, self.step)
         self._rng: Mapping[str, Any] | None = None
-        self._board: SummaryWriter | None = None
-        self._bar: tqdm[Any] | None = None
-        self._latest: dict[str, float] = {}
         if self.resumed:
-            self._open_board()
+            self._tables.open_board()
 
     def _open_log(self) -> None:
         self._handler = LogFile(self.path / "log.txt", encoding="utf-8")
@@ -238,8 +225,7 @@ class Run:
         try:
             self._close_log()
             self._write_info(status)
-            if self._board is not None:
-                self._board.close()
+            self._tables.close()
         except OSError:
             if error is None:  # else the first one says why
                 raise
@@ -279,43 +265,22 @@ class Run:
 
             set_rng_state(self._rng)
             self._rng = None
-        first = (self.step or 0) + 1
-        said = time.perf_counter()
-        with tqdm(
-            desc=self._called,
-            total=total,
-            initial=first - 1,
-            disable=None,
-            unit="it" if progress is None else "row",
-        ) as self._bar:
-            for iteration in range(first, total + 1):
-                yield iteration
-                self._bar.update()
-                late = time.perf_counter() - said > QUIET
-                if self._bar.disable and (late or iteration == total):
-                    said = time.perf_counter()
-                    done = f"{iteration} of {total}"
-                    if progress is not None:
-                        done = progress(iteration)
-                    text = ", ".join(filter(None, (done, self._progress_text)))
-                    log.info("%s: %s", self._called, text)
-
-    @property
-    def _progress_text(self) -> str:
-        """The latest successes and losses, for people who wait."""
-        return ", ".join(f"{name} {value:.3g}" for name, value in self._latest.items())
+        yield from self._progress.count((self.step or 0) + 1, total, progress)
 
     def log_metrics(self, step: int, row: Mapping[str, Any]) -> None:
         """Write one row of metrics.csv; see :meth:`MetricsFile.append`. No times."""
-        self._log(self._metrics, step, row, "")
-        last = self._metrics.last.items()
-        self._latest |= {name: v for name, v in last if name.startswith(_SHOWN)}
-        if self._bar is not None:
-            self._bar.set_postfix_str(self._progress_text, refresh=False)
+        self._tables.append("metrics", self._unsaved(step), row)
+        self._progress.show(self._tables.metrics.last)
 
     def log_timings(self, step: int, row: Mapping[str, Any]) -> None:
         """Write one row of timings.csv: what differs from run to run [s]."""
-        self._log(self._timings, step, row, "time/")
+        self._tables.append("timings", self._unsaved(step), row)
+
+    def _unsaved(self, step: int) -> int:
+        if self.step is not None and step <= self.step:
+            # Resuming keeps what the checkpoint knows; this row would be lost.
+            raise ValueError(f"step {step} is logged after its checkpoint was saved")
+        return step
 
     def save_checkpoint(
         self, step: int, state: Any, *, keep: int | None = None
@@ -338,9 +303,8 @@ class Run:
         from rlco.runs.state_files import rng_state
 
         check_saved(f"the checkpoint of iteration {step}", named_tensors(state))
-        self._metrics.sync()
-        self._timings.sync()
-        digest = self._metrics.digest()
+        self._tables.sync()
+        digest = self._tables.metrics.digest()
         path = checkpoints.save_checkpoint(
             self.checkpoints,
             step,
@@ -365,7 +329,7 @@ class Run:
             return None
         path = self._last_checkpoint()
         saved = load_state(path)
-        check_checkpoint(path, saved, self._metrics)
+        check_checkpoint(path, saved, self._tables.metrics)
         advice = "take the file away to resume from the one before, if there is one"
         check_loaded(str(path), named_tensors(saved["state"]), advice=advice)
         self._rng = saved["rng"]
@@ -417,36 +381,8 @@ class Run:
         done = path.exists() and self.resumed
         out, resume = (None, str(path)) if done else (str(path), None)
         run = Run(replace(config, out=out, resume=resume), recipe)
-        run._called = path.name  # two stages may be of one recipe
+        run._progress.name = path.name  # two stages may be of one recipe
         return run
-
-    def _log(
-        self, file: MetricsFile, step: int, row: Mapping[str, Any], prefix: str
-    ) -> None:
-        if self.step is not None and step <= self.step:
-            # Resuming keeps what the checkpoint knows; this row would be lost.
-            raise ValueError(f"step {step} is logged after its checkpoint was saved")
-        if self._board is None:
-            self._open_board()
-        file.append(step, row)
-        self._show(file.last, prefix)
-
-    def _open_board(self) -> None:
-        from torch.utils.tensorboard import SummaryWriter
-
-        # TensorBoard's files repeat the two tables and nothing else: made anew.
-        shutil.rmtree(self.path / "tb", ignore_errors=True)
-        self._board = SummaryWriter(str(self.path / "tb"))
-        for row in self._metrics.rows():
-            self._show(row, "")
-        for row in self._timings.rows():
-            self._show(row, "time/")
-
-    def _show(self, row: Mapping[str, float], prefix: str) -> None:
-        if self._board is not None:
-            for name, value in row.items():
-                if name != "step":
-                    self._board.add_scalar(prefix + name, value, int(row["step"]))
 
     def _write_info(self, status: str) -> None:
         self._info |= {

@@ -374,7 +374,7 @@ def test_what_is_loaded_is_said_before_it_is(
 def test_without_a_terminal_lines_tell_success_and_loss(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("rlco.run.QUIET", 0.0)
+    monkeypatch.setattr("rlco.runs.progress.QUIET", 0.0)
     logging.getLogger("rlco").setLevel(logging.INFO)
     with Run(RunOptions(out=str(tmp_path / "run")), "toy") as run:
         for iteration in run.iterations(2):

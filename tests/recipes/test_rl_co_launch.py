@@ -44,14 +44,13 @@ def learn(given: list[str], folder: Path) -> dict[str, Any]:
             raise CutOffError
         return save(run, step, state, **more)
 
-    Run.save_checkpoint = save_once  # type: ignore[method-assign]
     said = io.StringIO()
-    with contextlib.redirect_stderr(said):
+    with pytest.MonkeyPatch.context() as patch, contextlib.redirect_stderr(said):
+        patch.setattr(Run, "save_checkpoint", save_once)
         try:
             start("rl_co", *options, f"out={folder / 'cut'}")
         except (CutOffError, SystemExit) as error:
             ended = repr(error)
-    Run.save_checkpoint = save  # type: ignore[method-assign]
     next_group()
     start("rl_co", f"resume={folder / 'cut'}")
     return {"ended": ended, "said": said.getvalue()}
