@@ -69,7 +69,6 @@ def main(config: Config) -> None:
         evaluation_env,
         final_states_seed,
         read_by,
-        record_video,
     )
     from rlco.physics.effects import load_code
     from rlco.physics.tasks.named_task import named_task
@@ -79,6 +78,7 @@ def main(config: Config) -> None:
         check_look,
         check_rendered,
     )
+    from rlco.videos import record_video
 
     load_code(config.effects_code)
     (domain,) = evaluation_domains(config.task, [config.domain]).values()

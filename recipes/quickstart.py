@@ -30,15 +30,14 @@ from rlco.training.options.stage_one_options import StageOneOptions
 from rlco.training.options.stage_two_options import StageTwoOptions
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
-    from rlco.evaluation import Film
     from rlco.physics.spec.domain import Domain
     from rlco.policies import ChunkPolicy
     from rlco.reporting.statistics import ResultRow
 
 log = logging.getLogger("rlco.quickstart")
 METHODS = ("real_only", "sft", "rl_only", "rl_co")
+#: Options that mean the same in both stages, beside those of `PolicyOptions`.
+SHARED = ["seed", "threads", "keep_checkpoints", "task", "eval_domains", "effects_code"]
 
 
 @dataclass
@@ -112,16 +111,11 @@ def stage_one(config: Config, demos: dict[str, str], method: str) -> StageOneOpt
     """Return the options of a run of Stage I."""
     return StageOneOptions(
         name=method,
-        seed=config.seed,
-        threads=config.threads,
-        keep_checkpoints=config.keep_checkpoints,
-        task=config.task,
         sim_demos=demos["sim"],
         real_demos=demos["real"],
         sim_ratio=0.0 if method == "real_only" else config.sim_ratio,
         updates=config.updates,
-        eval_domains=config.eval_domains,
-        effects_code=config.effects_code,
+        **{name: getattr(config, name) for name in SHARED},
         **group_values(config, PolicyOptions),
     )
 
@@ -132,10 +126,6 @@ def stage_two(
     """Return the options of a run of Stage II inside a run directory."""
     return StageTwoOptions(
         name=method,
-        seed=config.seed,
-        threads=config.threads,
-        keep_checkpoints=config.keep_checkpoints,
-        task=config.task,
         policy=str(folder / "stages" / "sft" / "policy"),
         real_demos=demos["real"],
         heldout_demos=demos["heldout"],
@@ -145,10 +135,9 @@ def stage_two(
         advantage=config.advantage,
         eval_every=config.eval_every,
         eval_episodes=config.curve_episodes,
-        eval_domains=config.eval_domains,
         train_domain=config.train_domain,
         train_sample=config.train_sample,
-        effects_code=config.effects_code,
+        **{name: getattr(config, name) for name in SHARED},
         **group_values(config, AugmentOptions),
     )
 
@@ -168,11 +157,10 @@ def check(config: Config) -> tuple[dict[str, Domain], dict[str, Domain]]:
         raise ConfigError(["eval_domains=[] leaves nowhere to compare; give one"])
     make_task(config.task)
     load_code(config.effects_code)
-    train_domain = config.train_domain
     domains = evaluation_domains(
         config.task,
         config.eval_domains,
-        train_domain=train_domain,
+        train_domain=config.train_domain,
         train_sample=config.train_sample,
     )
     further = evaluation_domains(config.task, config.final_domains)
@@ -328,43 +316,29 @@ def compare(
 
     What the last method gains over the others is printed with its paired interval.
     """
-    from rlco.evaluation import evaluate, evaluation_env, final_states_seed, read_by
+    from rlco.evaluation import final_rows
     from rlco.reporting.differences import last_differences
 
     rows = []
-    one = next(iter(policies.values()))
     for name, domain in domains.items():
-        env = evaluation_env(
-            config.task,
-            domain,
-            chunk=one.chunk,
-            episodes=config.eval_episodes,
-            **read_by(one),
-            seed=final_states_seed(config.seed),
-        )
         for method, policy in policies.items():
-            result = evaluate(policy, env, config.eval_episodes)
-            log.info("%-9s in %-8s: %s", method, name, result)
-            row = result.row(
-                method, name, config.seed, task=config.task, policy=policy.kind
+            rows += final_rows(
+                policy,
+                {name: domain},
+                config.eval_episodes,
+                method=method,
+                task=config.task,
+                seed=config.seed,
             )
-            rows.append(row)
     for one in last_differences(rows):
-        name = f"{one.first} - {one.second}"
-        log.info("%-17s in %-8s: %s", name, one.column[1], one)
+        log.info("%s - %s in %s: %s", one.first, one.second, one.column[1], one)
     return rows
 
 
 # -- Report ------------------------------------------------------------------------
 
 
-def draw(
-    config: Config,
-    run: Run,
-    rows: list[ResultRow],
-    policies: dict[str, Any],
-    curves: list[str],
-) -> None:
+def draw(config: Config, run: Run, rows: list[ResultRow], curves: list[str]) -> None:
     """Draw the figures of the report, with curves of these domains."""
     from rlco.reporting import plots
     from rlco.reporting.stage_figures import draw_stages
@@ -374,7 +348,7 @@ def draw(
         {
             method: run.path / "stages" / method
             for method in ("rl_only", "rl_co")
-            if method in policies
+            if method in config.methods
         },
         curves,
         run.plots,
@@ -384,8 +358,8 @@ def draw(
 
 def film(config: Config, run: Run, method: str, policy: Any, domain: Domain) -> None:
     """Film an episode, and draw some of its frames for the report."""
-    from rlco.evaluation import record_video
     from rlco.reporting.plots import save_figure
+    from rlco.videos import record_video
 
     path = run.videos / f"{method}_{domain.name}.mp4"
     try:
@@ -393,21 +367,7 @@ def film(config: Config, run: Run, method: str, policy: Any, domain: Domain) -> 
     except RenderingError as error:
         log.warning("no frames in the report: %s", error)
         return
-    save_figure(strip(filmed, domain.name, method), run.plots / "episode.png")
-
-
-def strip(filmed: Film, domain: str, method: str) -> Figure:
-    """Draw about five of an episode's frames."""
-    from rlco.reporting.plots import episode_strip
-
-    some = range(0, len(filmed.frames), max(1, len(filmed.frames) // 5))
-    return episode_strip(
-        [filmed.frames[i] for i in some],
-        [i * filmed.period for i in some],
-        domain,
-        policy=method,
-        instruction=filmed.instruction,
-    )
+    save_figure(filmed.strip(domain.name, method), run.plots / "episode.png")
 
 
 def main(config: Config) -> None:
@@ -420,7 +380,7 @@ def main(config: Config) -> None:
         policies = train(config, run, demos, domains)
         rows = compare(config, policies, final)
         run.save_results(rows)
-        draw(config, run, rows, policies, list(domains))
+        draw(config, run, rows, list(domains))
         if config.film:
             method, policy = list(policies.items())[-1]
             film(config, run, method, policy, list(domains.values())[-1])

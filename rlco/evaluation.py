@@ -1,11 +1,10 @@
-"""Success of a policy over paired initial states, and videos of it."""
+"""Success of a policy over paired initial states."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -28,7 +27,6 @@ from rlco.physics.spec.domain import (
 )
 from rlco.physics.tasks.named_task import check_domains
 from rlco.reporting.statistics import ResultRow, wilson_interval
-from rlco.reporting.video import write_video
 
 log = logging.getLogger("rlco.evaluation")
 
@@ -334,80 +332,3 @@ def evaluation_env(
     return make_env(
         task, domain=domain, num_envs=min(episodes, 64), chunk=chunk, **options
     )
-
-
-@dataclass(frozen=True)
-class Film:
-    """One filmed episode.
-
-    Attributes:
-        frames: One image per decision, (height, width, 3) each.
-        period: Time between two frames [s].
-        instruction: What the policy was asked to do.
-    """
-
-    frames: list[NDArray[np.uint8]]
-    period: float
-    instruction: str
-
-
-def record_video(
-    policy: Any,
-    task: str,
-    domain: GivenDomain,
-    path: Path,
-    *,
-    chunk: int,
-    index: int = 0,
-    image_size: tuple[int, int] = (240, 320),
-    renderer: str | None = None,
-    **options: Any,
-) -> Film:
-    """Write one episode as an mp4 video, one frame per decision; return what it shows.
-
-    Of a policy that reads images the video shows those, enlarged, of several cameras
-    beside each other.
-
-    Args:
-        policy: Writes `action`; its most likely action is taken.
-        task: The task's name.
-        domain: Where to play.
-        path: The video.
-        chunk: Control steps of a decision.
-        index: Number of the episode.
-        image_size: Height and width of the frames of a policy that reads none.
-        renderer: What draws the images that a policy reads; None: what it was trained
-            with. Frames of a policy that reads none are OpenGL's.
-        **options: Further options of `make_env` (``backend``, ``variation``,
-            ``effects``, ``seed``): the same as in the evaluation, for its episode.
-
-    Raises:
-        RenderingError: If no renderer is available.
-    """
-    image_read = getattr(policy, "image_size", None)
-    drawn: dict[str, Any] = {"image_size": image_size, "image_quality": "robosuite"}
-    if image_read:
-        drawn = read_by(policy, renderer)
-    env = make_env(
-        task,
-        domain=domain,
-        chunk=chunk,
-        **drawn,
-        **{"seed": EVALUATION_SEED, **options},
-    )
-    env.start_at(index)
-    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        rollout = env.rollout(-(-env.horizon // chunk), policy)
-    seen = [
-        torch.cat([rollout[key][0, :1], rollout["next", *key][0]])
-        for key in keys.image_keys(drawn.get("cameras", ("agentview",)))
-    ]
-    images = torch.cat(seen, -1)
-    times = max(1, image_size[0] // image_read[0]) if image_read else 1
-    images = images.repeat_interleave(times, -1).repeat_interleave(times, -2)
-    frames = list(images.permute(0, 2, 3, 1).numpy())
-    instruction = env.task.instructions[int(rollout[keys.INSTRUCTION_ID][0, 0])]
-    env.close()
-    period = chunk / env.task.control_frequency
-    write_video(path, np.stack(frames), 1.0 / period)
-    return Film(frames, period, instruction)

@@ -7,9 +7,8 @@ import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
-from rlco.errors import DataError, OutputExistsError
+from rlco.errors import OutputExistsError
 from rlco.gap.calibrate.summary import Before, Summary
 from rlco.gap.compare.comparisons import (
     Comparison,
@@ -24,10 +23,6 @@ from rlco.gap.compare.problem import (
     Problem,
     Verdict,
 )
-from rlco.gap.compare.torque.check import carried_over, check_gap
-from rlco.gap.compare.torque.convention import torque_problem
-from rlco.gap.compare.torque.held_commands import effort_jumps, warning
-from rlco.gap.compare.torque.torque_log import TorqueLog
 from rlco.gap.correct.corrected_files import write_corrected
 from rlco.gap.correct.servo_files import SERVO_FILES, write_servo
 from rlco.gap.diagnose.filmed import Filmed, filmed
@@ -40,7 +35,6 @@ from rlco.gap.logs.log import Log
 from rlco.gap.make_problem import (
     as_compared,
     compared_in,
-    in_parts,
     make_problem,
 )
 from rlco.gap.model import LoadedModel, load_model
@@ -54,6 +48,7 @@ from rlco.gap.report.compared import compared_json, comparison_lines
 from rlco.gap.report.report_json import report
 from rlco.gap.report.verdict_text import verdict_lines, where_lines
 from rlco.gap.search.find_gap import find_gap
+from rlco.gap.torques_beside import torque_warning, torques_beside
 from rlco.physics.effects import load_code
 from rlco.runs.whole_files import write_json, write_text
 
@@ -319,12 +314,12 @@ def run_gap(
         verdict = find_gap(problem, spread=spread, exclude=exclude, on_step=on_step)
     else:
         verdict, prepared = search(prepared, exclude=exclude, on_step=on_step)
-    comparisons = [warned(Comparison(used, verdict, verdict.gap), _warning(base))]
+    comparisons = [warned(Comparison(used, verdict, verdict.gap), torque_warning(base))]
     motions, complete = _to_record_next(base, verdict, say)
     if complete and beside is not None and verdict.instability is None:
         options = {"spread": spread, "exclude": exclude} if both else None
         log_of_both = replace(recordings, notes=problem.log.notes)
-        other, complete = _beside(loaded, log_of_both, verdict, options, say)
+        other, complete = torques_beside(loaded, log_of_both, verdict, options, say)
         comparisons.append(other)
     say("preparing the figures", 1.0)
     figures = figure_data(problem, verdict, before, labels)
@@ -358,46 +353,3 @@ def _to_record_next(
         return tuple(recommend(problem, verdict)), True
     except KeyboardInterrupt:
         return (), False
-
-
-def _beside(
-    loaded: LoadedModel,
-    log: Log,
-    verdict: Verdict,
-    options: Mapping[str, Any] | None,
-    say: Progress,
-) -> tuple[Comparison, bool]:
-    """Return the comparison of torques, and whether it completed.
-
-    Args:
-        loaded: The model.
-        log: The recordings.
-        verdict: The result for positions.
-        options: Those of a search by torques; None only checks `verdict`.
-        say: Called with the progress.
-    """
-    say("comparing torques", 0.5 if options else 1.0)
-    try:
-        problem = torque_problem(loaded.spec, in_parts(log))
-    except DataError as error:
-        if options:
-            raise
-        return Comparison("torques", notes=(str(error),)), True
-    notes = tuple(note for note in problem.log.notes if note not in log.notes)
-    if options:
-        found = find_gap(
-            problem,
-            **options,
-            on_step=lambda said, part: say(said, 0.5 + part / 2.0),
-        )
-        second = Comparison("torques", found, found.gap, notes)
-        return warned(second, _warning(problem)), found.complete
-    gap = check_gap(problem, carried_over(verdict.hypothesis))
-    check = Comparison("torques", None, gap, notes)
-    return warned(check, _warning(problem)), True
-
-
-def _warning(problem: Problem) -> str | None:
-    """Return why a problem's measurements should name nothing; None if they may."""
-    jumps = effort_jumps(problem) if isinstance(problem, TorqueLog) else None
-    return None if jumps is None else warning(jumps)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 from recipe_cases import Assets, refused, start
 
-from rlco import evaluation
+from rlco import evaluation, videos
 from rlco.envs.chunk_env import ChunkEnv
 from rlco.physics.effects import AppliedEffect
 from rlco.physics.effects.effects_file import write_effects
@@ -54,7 +53,8 @@ def test_the_films_are_stepped_by_the_backend(
         made.append(make_env(*args, **options))
         return made[-1]
 
-    monkeypatch.setattr(evaluation, "make_env", noted)
+    for module in (evaluation, videos):
+        monkeypatch.setattr(module, "make_env", noted)
     filmed(assets, tmp_path / "out", "backend=robosuite", "seed=3")
     assert [type(env.stepper) for env in made] == [RobosuiteStepper] * 2
     assert [env._seed for env in made] == [evaluation.final_states_seed(3)] * 2
@@ -75,7 +75,7 @@ def test_a_film_is_of_the_tasks_rate_and_may_have_an_odd_size(
     monkeypatch.syspath_prepend(str(tmp_path))
     policy, _ = load_policy(assets.sft / "policy")
     path = tmp_path / "film.mp4"
-    film = evaluation.record_video(
+    film = videos.record_video(
         policy, "slow_task:TASK", "sim", path, chunk=policy.chunk, image_size=(61, 83)
     )
     shown = imageio.imread(path, plugin="pyav").astype(float)
@@ -87,9 +87,8 @@ def test_a_film_is_of_the_tasks_rate_and_may_have_an_odd_size(
 
 
 def test_the_report_says_when_each_frame_was() -> None:
-    quickstart: Any = importlib.import_module("quickstart")
-    film = evaluation.Film([np.zeros((4, 6, 3), np.uint8)] * 10, 0.4, "push it")
-    figure = quickstart.strip(film, "sim", "sft")
+    film = videos.Film([np.zeros((4, 6, 3), np.uint8)] * 10, 0.4, "push it")
+    figure = film.strip("sim", "sft")
     # Every second frame of ten.
     times = [axes.get_title() for axes in figure.axes]
     assert times == ["0.0 s", "0.8 s", "1.6 s", "2.4 s", "3.2 s"]
