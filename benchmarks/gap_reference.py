@@ -202,7 +202,7 @@ def run_case(case: Case) -> Row:
 def judged(row: Row) -> Row:
     """Return whether the names are exact, and the relative errors of their sizes."""
     wanted = {(t["name"], t["target"]): t["values"] for t in row["truth"]}
-    told = {(f["name"], f["target"]): f["values"] for f in row["found"]}
+    named = {(f["name"], f["target"]): f["values"] for f in row["found"]}
     in_class = all(
         any(
             key == (f["name"], f["target"]) or list(key) in f["rivals"]
@@ -211,14 +211,14 @@ def judged(row: Row) -> Row:
         for key in wanted
     )
     errors = []
-    for key in wanted.keys() & told.keys():
+    for key in wanted.keys() & named.keys():
         parameter, value = next(iter(wanted[key].items()))
         away = value - 1.0 if parameter == "factor" else value
-        errors.append(abs(told[key][parameter] - value) / abs(away))
-    exact = wanted.keys() == told.keys() if wanted else not told
+        errors.append(abs(named[key][parameter] - value) / abs(away))
+    exact = wanted.keys() == named.keys() if wanted else not named
     return {
         "exact": exact,
-        "in_class": in_class and len(told) == len(wanted),
+        "in_class": in_class and len(named) == len(wanted),
         "errors": errors,
         "sized": exact and all(error <= _SIZE for error in errors),
     }

@@ -168,7 +168,7 @@ class Run:
             self._write_info("running")
         except BaseException:
             self._close_log()
-            os.close(self._lock)  # what is wrong is mended, and it is tried again
+            os.close(self._lock)  # once that is corrected, it is tried again
             raise
         import torch
 

@@ -28,9 +28,9 @@ def impatient(count: Callable[[], int], what: str) -> Iterator[None]:
     over = threading.Event()
 
     def watch() -> None:
-        seen = count()
+        before = count()
         while not over.wait(PATIENCE):
-            if (now := count()) == seen:
+            if (now := count()) == before:
                 log.warning(
                     "%s: no decision has ended for %g s since decision %d; the "
                     "environment hangs or is very slow. Ctrl-C ends the run, or kill "
@@ -40,7 +40,7 @@ def impatient(count: Callable[[], int], what: str) -> Iterator[None]:
                     now,
                 )
                 return
-            seen = now
+            before = now
 
     watcher = threading.Thread(target=watch, name="patience", daemon=True)
     watcher.start()

@@ -173,7 +173,7 @@ class RayRollouts:
 
 
 class WorkerCollector(Collector):
-    """A worker's collector, which is told which episodes a rollout is of."""
+    """A worker's collector, which knows which episodes a rollout is of."""
 
     def __bool__(self) -> bool:
         # Ray asks an actor that raised whether it is true, and so for its length: of an
@@ -220,5 +220,7 @@ def _lost(error: Exception) -> str | None:
     if not isinstance(error, import_ray().exceptions.RayActorError):
         return None if lost_rank(error) is None else "its connection broke off"
     lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    told = [line for line in lines if "cause" in line.lower() or "exit" in line.lower()]
-    return (told or lines or [type(error).__name__])[0][:200].rstrip(".")
+    reasons = [
+        line for line in lines if "cause" in line.lower() or "exit" in line.lower()
+    ]
+    return (reasons or lines or [type(error).__name__])[0][:200].rstrip(".")

@@ -1,4 +1,4 @@
-"""JSON of others: read whole, damage told in one sentence."""
+"""JSON of others: read whole, damage reported in one sentence."""
 
 from __future__ import annotations
 

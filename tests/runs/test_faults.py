@@ -81,7 +81,7 @@ def test_a_log_that_cannot_be_written_stops_no_run(
     out = tmp_path / "run"
     logging.getLogger("rlco").setLevel(logging.INFO)
     with monkeypatch.context() as patch:
-        patch.setattr("rlco.run.QUIET", 0.0)  # a line after each iteration
+        patch.setattr("rlco.runs.progress.QUIET", 0.0)  # a line after each iteration
         train(RunOptions(out=str(out)))
     assert result(out) == result(whole)
 

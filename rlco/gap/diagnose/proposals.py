@@ -108,7 +108,7 @@ class Trial:
         """
         return 0.5 * self.rows * self.differences[rival] ** 2
 
-    def telling(self, named: Candidate, rivals: Sequence[Candidate]) -> Motion:
+    def as_motion(self, named: Candidate, rivals: Sequence[Candidate]) -> Motion:
         """Return the motion as one that tells these rivals from the named effect."""
         return replace(
             self.motion,
@@ -134,34 +134,34 @@ def proposed(
     """
     best = max(trials, key=lambda one: _rating(one, rivals))
     chosen = [best]
-    told = _told(chosen, rivals)
-    if len(told) < len(rivals):
+    separated = _separated(chosen, rivals)
+    if len(separated) < len(rivals):
         # Two recordings are independent, so that what they say adds up.
         pair = max(combinations(trials, 2), key=lambda two: _reach(two, rivals))
-        if len(_told(pair, rivals)) > len(told):
-            chosen, told = list(pair), _told(pair, rivals)
+        if len(_separated(pair, rivals)) > len(separated):
+            chosen, separated = list(pair), _separated(pair, rivals)
     motions = []
     for trial in chosen:
         others = [other for other in chosen if other is not trial]
         # Each is for what it tells better than the other one.
         mine = [
             rival
-            for rival in told
+            for rival in separated
             if all(trial.log_bayes(rival) >= one.log_bayes(rival) for one in others)
         ]
         if mine:
-            motions.append(trial.telling(named, mine))
-    silent = [rival for rival in rivals if rival not in told]
+            motions.append(trial.as_motion(named, mine))
+    silent = [rival for rival in rivals if rival not in separated]
     if silent:
         how = " ".join(filter(None, [NONE_TELLS, by_hand]))
-        nothing = best.telling(named, silent)
+        nothing = best.as_motion(named, silent)
         motions.append(
             replace(nothing, name=f"{NO_MOTION}_{named.name}", how=how, commands=None)
         )
     return motions
 
 
-def _told(trials: Sequence[Trial], rivals: Sequence[Candidate]) -> list[Candidate]:
+def _separated(trials: Sequence[Trial], rivals: Sequence[Candidate]) -> list[Candidate]:
     """Return the rivals that some motions together tell apart."""
     return [
         rival
@@ -172,14 +172,14 @@ def _told(trials: Sequence[Trial], rivals: Sequence[Candidate]) -> list[Candidat
 
 def _reach(trials: Sequence[Trial], rivals: Sequence[Candidate]) -> tuple[int, float]:
     """Rate motions by how many rivals they tell apart, then by the least of these."""
-    told = _told(trials, rivals)
-    sums = [sum(trial.log_bayes(rival) for trial in trials) for rival in told]
-    return len(told), min(sums, default=0.0)
+    separated = _separated(trials, rivals)
+    sums = [sum(trial.log_bayes(rival) for trial in trials) for rival in separated]
+    return len(separated), min(sums, default=0.0)
 
 
 def _rating(trial: Trial, rivals: Sequence[Candidate]) -> tuple[int, float, float]:
     """Rate a motion; of those that clearly separate rivals, few joints are better."""
-    told, least = _reach([trial], rivals)
+    separated, least = _reach([trial], rivals)
     apart = min(trial.differences[rival] for rival in rivals)
     few = not trial.motion.name.endswith("_all")
-    return told, min(apart, _PLENTY) + (few and apart > _PLENTY), least
+    return separated, min(apart, _PLENTY) + (few and apart > _PLENTY), least

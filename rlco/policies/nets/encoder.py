@@ -112,8 +112,8 @@ class ObservationEncoder(nn.Module):
         if num_instructions:
             self.in_keys.append(INSTRUCTION_ID)
         # Of the objects: what there is once more for each instruction.
-        seen = sum(one.features for one in self._image_encoders())
-        scene = environment_state_size + seen
+        images = sum(one.features for one in self._image_encoders())
+        scene = environment_state_size + images
         self.size = state_size + num_instructions + scene * (1 + num_instructions)
 
     @property
