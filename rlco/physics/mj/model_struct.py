@@ -77,6 +77,9 @@ def array_fields() -> tuple[str, ...]:
 class ModelValues:
     """The values in which a compiled model differs from another of its structure.
 
+    Arrays that only drawing reads are none of them: a world's look and the places of
+    its cameras are its own, whatever its physics is.
+
     Attributes:
         arrays: The arrays that differ, by MuJoCo's name.
         gravity: Of its options, (3,).
@@ -96,6 +99,8 @@ class ModelValues:
         """
         arrays = {}
         for name in array_fields():
+            if is_only_drawn(name):
+                continue
             mine, theirs = getattr(model, name), getattr(base, name)
             if mine.shape != theirs.shape:
                 raise RlcoError(
@@ -120,6 +125,17 @@ class ModelValues:
 #: specular light, (3, 3).
 HEADLIGHT = "headlight"
 _COLOURS = ("ambient", "diffuse", "specular")
+
+
+def is_only_drawn(name: str) -> bool:
+    """Return whether nothing but drawing reads an array of a model.
+
+    Example:
+        >>> is_only_drawn("cam_pos"), is_only_drawn("body_pos")
+        (True, False)
+    """
+    of_scene = name.startswith(("mat_", "light_", "cam_")) or name == HEADLIGHT
+    return of_scene or name.endswith("rgba")
 
 
 def get_array(model: mujoco.MjModel, name: str) -> NDArray[Any]:
@@ -183,9 +199,13 @@ class ModelCopy:
         self.arrays[name][:] = value
 
     def become(self, values: ModelValues) -> None:
-        """Take these values, and all others from the model that it is a copy of."""
+        """Take these values, and all others from the model that it is a copy of.
+
+        What only drawing reads stays as it is.
+        """
         for name in self.arrays.keys() - values.arrays.keys():
-            self.set_array(name, getattr(self._model, name))
+            if not is_only_drawn(name):
+                self.set_array(name, getattr(self._model, name))
         for name, value in values.arrays.items():
             self.set_array(name, value)
         self._struct.opt.gravity[:] = values.gravity.tolist()
