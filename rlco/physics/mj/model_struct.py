@@ -97,7 +97,7 @@ class ModelValues:
         Raises:
             RlcoError: If the two differ in more than values.
         """
-        arrays = {}
+        values = cls.without_arrays(model)
         for name in array_fields():
             if is_only_drawn(name):
                 continue
@@ -108,10 +108,15 @@ class ModelValues:
                     f"({name}: {mine.shape} and {theirs.shape}); leave the sample out."
                 )
             if not np.array_equal(mine, theirs, equal_nan=mine.dtype.kind == "f"):
-                arrays[name] = mine.copy()
+                values.arrays[name] = mine.copy()
+        return values
+
+    @classmethod
+    def without_arrays(cls, model: mujoco.MjModel) -> ModelValues:
+        """Return a model's gravity and statistics alone."""
         whole = model_type().from_address(model._address)
         statistics = type(whole.stat).from_buffer_copy(whole.stat)
-        return cls(arrays, model.opt.gravity.copy(), statistics)
+        return cls({}, model.opt.gravity.copy(), statistics)
 
     def write_to(self, model: mujoco.MjModel) -> None:
         """Write the values into a whole model."""
