@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable, Sequence
+from typing import Any
 
 #: Of a name [characters].
 _LONGEST = 200
@@ -21,6 +22,18 @@ class RlcoError(ValueError):
 
     def __init__(self, message: str) -> None:
         super().__init__(printable(message))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        # Between processes: the constructors of most kinds take no message.
+        return _remade, (type(self), self.args, self.__dict__)
+
+
+def _remade(
+    kind: type[RlcoError], args: tuple[Any, ...], state: dict[str, Any]
+) -> RlcoError:
+    error = kind.__new__(kind, *args)
+    error.__dict__ |= state
+    return error
 
 
 def printable(text: str) -> str:

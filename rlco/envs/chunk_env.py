@@ -16,6 +16,7 @@ from torchrl.envs import EnvBase
 from rlco import keys
 from rlco.errors import RlcoError, SimulationError
 from rlco.physics.spec.actions import LIMIT, ActionRange
+from rlco.physics.spec.streams import Stream
 from rlco.physics.spec.task import Array
 
 RewardKind = Literal["shaped", "sparse"]
@@ -189,8 +190,7 @@ class ChunkEnv(EnvBase):
                 "episodes draw no parameter sets here; give make_env "
                 "sample='posterior' and a domain with a sample."
             )
-        # A stream of its own, so that drawing never shifts the initial states.
-        rng = np.random.default_rng([self._seed, index, 2])
+        rng = np.random.default_rng([self._seed, index, Stream.PARAMETER_SET])
         return int(rng.integers(self.parameter_sets))
 
     def _drawn_sets(self, episodes: list[int]) -> list[int] | None:

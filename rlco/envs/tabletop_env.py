@@ -15,6 +15,7 @@ from rlco.physics.spec.domain import Domain
 from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.observation import noise_size, observe
 from rlco.physics.spec.stepper import Stepper
+from rlco.physics.spec.streams import Stream
 from rlco.physics.spec.task import Array, InitialState, SceneState, Task
 from rlco.physics.tasks.views import Views
 
@@ -103,8 +104,7 @@ class TabletopEnv(ChunkEnv):
     def _start(self, which: NDArray[np.int64], episodes: list[int]) -> None:
         starts = [self.initial_state(index) for index in episodes]
         for env, index in zip(which.tolist(), episodes, strict=True):
-            # Its own stream, so that noise never shifts the initial states.
-            rng = np.random.default_rng([self._seed, index, 1])
+            rng = np.random.default_rng([self._seed, index, Stream.NOISE])
             self._noise[env] = rng.standard_normal(self._noise.shape[1:])
         if self._views is not None:
             self._views.start(which, self._seed, episodes)

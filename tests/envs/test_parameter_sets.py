@@ -18,6 +18,7 @@ from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.robosuite.tabletop import Tabletop
 from rlco.physics.spec.domain import Domain, write_domain
 from rlco.physics.spec.sample import Sample
+from rlco.physics.spec.sensors import Sensors
 
 # Every kind of change: a law's friction, encoders, commands, motors, a body, gravity.
 SETS = Sample(
@@ -129,6 +130,37 @@ def test_an_environment_draws_from_its_file_by_its_seed(tmp_path: Path) -> None:
     write_domain(path, replace(DRAWN, sample=None))
     np.testing.assert_array_equal(plain, rollout(domain=path))
     assert np.abs(one - plain).max() > 1e-2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("backend", "look"), [("native", "random"), ("robosuite", "stand_in")]
+)
+def test_what_an_episode_draws_changes_nothing_that_is_seen(
+    backend: Any, look: str
+) -> None:
+    # One set, the effects' own numbers: images are those of no draw, to the last bit.
+    domain = Domain(
+        "moved",
+        (effect("viscous_damping", "joint2", damping=1.0),),
+        Sensors(camera_yaw=0.2),
+        sample=Sample(((0, "damping"),), ((1.0,),)),
+    )
+    seen = []
+    for sample in (None, "posterior"):
+        env = make_env(
+            "push_cube",
+            domain=domain,
+            sample=sample,
+            look=look,
+            backend=backend,
+            image_size=(24, 24),
+            renderer="raster",
+            seed=3,
+        )
+        images = [env.reset()["observation", "image"] for _ in range(2)]
+        seen.append(torch.stack(images))
+    assert torch.equal(*seen)
 
 
 @pytest.mark.slow

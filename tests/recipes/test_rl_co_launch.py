@@ -13,6 +13,7 @@ import pytest
 from rank_cases import Found, in_two_ranks, next_group
 from recipe_cases import RL_CO, Assets, refused, start
 
+from rlco.errors import ConfigError
 from rlco.run import Run
 from rlco.runs.compare.processes import Ended
 from rlco.runs.compare.ray_processes import RayProcesses
@@ -173,6 +174,15 @@ def test_a_job_whose_worker_is_killed_has_died(
         assert processes.poll(process) is None
     os.kill(int(log.read_text()), signal.SIGKILL)
     assert waited(processes, process).status == -signal.SIGKILL
+
+
+def test_a_node_without_the_folder_of_the_jobs_is_told(
+    processes: RayProcesses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(Path, "cwd", lambda: Path("/nowhere"))
+    process = processes.start(["python", "-c", ""], tmp_path / "log.txt", nice=0)
+    with pytest.raises(ConfigError, match="has no folder '/nowhere'; jobs write"):
+        waited(processes, process)
 
 
 GRID = """

@@ -62,7 +62,6 @@ class Calibration:
         rows: How many there were.
         cost_before: Mean square in units of the noise of the model as it is.
         cost: The same after.
-        complete: False after an interruption.
     """
 
     numbers: tuple[Number, ...]
@@ -78,6 +77,11 @@ class Calibration:
     def covariance(self) -> Array:
         """Covariance of the amounts, (N, N)."""
         return self._inverse(self.normal / self.length, 1.0)
+
+    @property
+    def deviation(self) -> Array:
+        """Standard deviation of each amount, (N,)."""
+        return np.sqrt(np.diag(self.covariance))
 
     def covariance_per_row(self) -> Array:
         """Return the covariance for a search that counts each row, (N, N).

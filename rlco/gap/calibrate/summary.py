@@ -43,8 +43,8 @@ class Summary:
         Args:
             model: The model without the calibration, for units.
         """
-        calibration = self.calibration
-        deviation = np.sqrt(np.diag(calibration.covariance))
+        calibration, beyond = self.calibration, self._beyond()
+        deviation = calibration.deviation
         rows = []
         for i in np.argsort(-np.abs(calibration.amounts)):
             number, amount = calibration.numbers[i], float(calibration.amounts[i])
@@ -61,7 +61,7 @@ class Summary:
                     "high": number.value(float(ends[1])),
                     "unit": unit,
                     "prior_deviations": amount,
-                    "beyond_prior": bool(self._beyond()[i]),
+                    "beyond_prior": bool(beyond[i]),
                 }
             )
         return rows
@@ -69,7 +69,7 @@ class Summary:
     def named(self, model: mujoco.MjModel) -> tuple[NamedEffect, ...]:
         """Return the effects of which a number is beyond its prior's 95 %."""
         calibration, beyond = self.calibration, self._beyond()
-        deviation = np.sqrt(np.diag(calibration.covariance))
+        deviation = calibration.deviation
         found = []
         for effect in self.effects:
             mine = [
@@ -97,10 +97,8 @@ class Summary:
         return tuple(found)
 
     def _beyond(self) -> Array:
-        calibration = self.calibration
-        deviation = np.sqrt(np.diag(calibration.covariance))
-        far = np.abs(calibration.amounts) > BEYOND
-        return np.asarray(far & (deviation < _KNOWN))
+        far = np.abs(self.calibration.amounts) > BEYOND
+        return np.asarray(far & (self.calibration.deviation < _KNOWN))
 
 
 @dataclass(frozen=True)

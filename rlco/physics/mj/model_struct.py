@@ -77,6 +77,9 @@ def array_fields() -> tuple[str, ...]:
 class ModelValues:
     """The values in which a compiled model differs from another of its structure.
 
+    Arrays that only drawing reads are none of them: a world's look and the places of
+    its cameras are its own, whatever its physics is.
+
     Attributes:
         arrays: The arrays that differ, by MuJoCo's name.
         gravity: Of its options, (3,).
@@ -94,8 +97,10 @@ class ModelValues:
         Raises:
             RlcoError: If the two differ in more than values.
         """
-        arrays = {}
+        values = cls.without_arrays(model)
         for name in array_fields():
+            if is_only_drawn(name):
+                continue
             mine, theirs = getattr(model, name), getattr(base, name)
             if mine.shape != theirs.shape:
                 raise RlcoError(
@@ -103,10 +108,15 @@ class ModelValues:
                     f"({name}: {mine.shape} and {theirs.shape}); leave the sample out."
                 )
             if not np.array_equal(mine, theirs, equal_nan=mine.dtype.kind == "f"):
-                arrays[name] = mine.copy()
+                values.arrays[name] = mine.copy()
+        return values
+
+    @classmethod
+    def without_arrays(cls, model: mujoco.MjModel) -> ModelValues:
+        """Return a model's gravity and statistics alone."""
         whole = model_type().from_address(model._address)
         statistics = type(whole.stat).from_buffer_copy(whole.stat)
-        return cls(arrays, model.opt.gravity.copy(), statistics)
+        return cls({}, model.opt.gravity.copy(), statistics)
 
     def write_to(self, model: mujoco.MjModel) -> None:
         """Write the values into a whole model."""
@@ -120,6 +130,17 @@ class ModelValues:
 #: specular light, (3, 3).
 HEADLIGHT = "headlight"
 _COLOURS = ("ambient", "diffuse", "specular")
+
+
+def is_only_drawn(name: str) -> bool:
+    """Return whether nothing but drawing reads an array of a model.
+
+    Example:
+        >>> is_only_drawn("cam_pos"), is_only_drawn("body_pos")
+        (True, False)
+    """
+    of_scene = name.startswith(("mat_", "light_", "cam_")) or name == HEADLIGHT
+    return of_scene or name.endswith("rgba")
 
 
 def get_array(model: mujoco.MjModel, name: str) -> NDArray[Any]:
@@ -183,9 +204,13 @@ class ModelCopy:
         self.arrays[name][:] = value
 
     def become(self, values: ModelValues) -> None:
-        """Take these values, and all others from the model that it is a copy of."""
+        """Take these values, and all others from the model that it is a copy of.
+
+        What only drawing reads stays as it is.
+        """
         for name in self.arrays.keys() - values.arrays.keys():
-            self.set_array(name, getattr(self._model, name))
+            if not is_only_drawn(name):
+                self.set_array(name, getattr(self._model, name))
         for name, value in values.arrays.items():
             self.set_array(name, value)
         self._struct.opt.gravity[:] = values.gravity.tolist()

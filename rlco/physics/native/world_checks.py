@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlco.errors import RlcoError, UnknownNameError
-from rlco.physics.mj.model_struct import HEADLIGHT, get_array
+from rlco.physics.mj.model_struct import HEADLIGHT, get_array, is_only_drawn
 
 Array = NDArray[np.float64]
 Integers = NDArray[np.int64]
@@ -192,8 +192,7 @@ def is_derived_from(name: str) -> bool:
     """
     if name.endswith(("_pos", "_quat", "_dir")):
         return True  # also of cameras and lights that follow a body
-    drawn = name.startswith(("mat_", "light_", "cam_")) or name == HEADLIGHT
-    return not (drawn or name.endswith("rgba"))
+    return not is_only_drawn(name)
 
 
 def checked_gains(

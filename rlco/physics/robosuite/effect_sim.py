@@ -51,7 +51,7 @@ class EffectSim(MjSim):
         super().__init__(corrected.model)
         self.corrected = corrected
         self.drawn = drawn
-        self._own = ModelValues.of(corrected.model, corrected.model)
+        self._own = ModelValues.without_arrays(corrected.model)
         self.controller_sim: ControllerSim | None = None
         if corrected.controller_model is not None:
             self.controller_sim = ControllerSim(corrected, self.data._data)

@@ -25,6 +25,7 @@ from rlco.physics.spec.domain import Domain, GivenDomain, make_domain, with_look
 from rlco.physics.spec.looks import GivenLook
 from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.observation import noise_size, observe
+from rlco.physics.spec.streams import Stream
 from rlco.physics.spec.task import SceneState, Task
 from rlco.physics.tasks.make_task import make_task
 from rlco.physics.tasks.variations import check_variation_of, domain_in
@@ -226,7 +227,7 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         # The same random streams as in `TabletopEnv`, for the same episodes.
         rng = np.random.default_rng([self._seed, episode])
         start = self._task.sample(rng, self._variation)
-        noise = np.random.default_rng([self._seed, episode, 1])
+        noise = np.random.default_rng([self._seed, episode, Stream.NOISE])
         self._noise[:] = noise.standard_normal(self._noise.shape)
         self._episode, self._elapsed, self._diverged = episode + 1, 0, False
         if self._views is not None:

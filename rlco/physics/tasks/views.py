@@ -16,11 +16,10 @@ from rlco.physics.spec.look import Look, View
 from rlco.physics.spec.look_ranges import LookRanges
 from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.stepper import Stepper
+from rlco.physics.spec.streams import Stream
 
 Images = NDArray[np.uint8]
 Integers = NDArray[np.int64]
-# Random streams of an episode beside those of its start and of its sensors' noise.
-_LOOK, _PIXELS = 2, 3
 # Odd numbers by which keys of frames differ in time, and from camera to camera.
 _IN_TIME, _BESIDE = np.uint64(0xD1342543DE82EF95), np.uint64(0xAF251AF3B0F025B5)
 
@@ -94,12 +93,13 @@ class Views:
             episodes: Their numbers, one for each of `which`.
         """
         for world, episode in zip(which.tolist(), episodes, strict=True):
-            pixels = np.random.SeedSequence([seed, episode, _PIXELS])
+            pixels = np.random.SeedSequence([seed, episode, Stream.PIXELS])
             self._keys[world] = pixels.generate_state(1, np.uint64)[0]
             if self._ranges is None or self._scene is None:
                 continue
             one = np.array([world])
-            look = self._ranges.draw(np.random.default_rng([seed, episode, _LOOK]))
+            rng = np.random.default_rng([seed, episode, Stream.LOOK])
+            look = self._ranges.draw(rng)
             fields = self._scene.fields(look)
             self._stepper.patch(one, {k: v[None] for k, v in fields.items()})
             self._expose(one, look)

@@ -6,6 +6,7 @@ folder and its log where the queue looks for them, wherever it runs.
 
 from __future__ import annotations
 
+import contextlib
 import os
 import signal
 import sys
@@ -15,7 +16,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from rlco.errors import ConfigError
+from rlco.errors import ConfigError, RlcoError
 from rlco.runs.compare import processes
 from rlco.runs.compare.processes import Ended
 from rlco.runs.ray_cluster import connect, disconnect, import_ray
@@ -52,14 +53,21 @@ class RayProcesses:
         return self._task.remote([sys.executable, *command[1:]], *where, nice)
 
     def poll(self, process: Any) -> Ended | None:
-        """Return how a process ended; None while it runs or waits for a processor."""
+        """Return how a process ended; None while it runs or waits for a processor.
+
+        Raises:
+            ConfigError: A node cannot run it, nor any other.
+        """
         ray = import_ray()
         ready, _ = ray.wait([process], timeout=0)
         if not ready:
             return None
         try:
             status, seconds = ray.get(process)
-        except ray.exceptions.RayError:
+        except ray.exceptions.RayError as error:
+            cause = getattr(error, "cause", None)
+            if isinstance(cause, RlcoError):
+                raise cause from None
             return _LOST
         return Ended(status, seconds)
 
@@ -68,7 +76,9 @@ class RayProcesses:
         ray = import_ray()
         ray.cancel(process)
         ray.wait([process], timeout=2 * processes.PATIENCE)
-        return self.poll(process) or _LOST
+        with contextlib.suppress(RlcoError):  # it never ran, and that is told already
+            return self.poll(process) or _LOST
+        return _LOST
 
     def close(self) -> None:
         """End the cluster if it is of this process alone."""
