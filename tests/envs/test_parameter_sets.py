@@ -208,6 +208,32 @@ def test_episodes_draw_independently_of_how_many_worlds_there_are() -> None:
         assert damping == plain + few[number]
 
 
+def test_an_episodes_look_says_nothing_of_its_parameter_set() -> None:
+    light = Domain(
+        "light",
+        (effect("viscous_damping", "joint2", damping=1.0),),
+        sample=Sample(((0, "damping"),), tuple((float(k),) for k in range(8))),
+    )
+    env = make_env(
+        "push_cube",
+        domain=light,
+        sample="posterior",
+        look="random",
+        image_size=(16, 16),
+        renderer="raster",
+        num_envs=64,
+        seed=3,
+    )
+    env.reset()
+    floor = env.stepper.model.material("floorplane").id
+    models = map(env.stepper.model_of, range(64))
+    textures = [tuple(model.mat_texid[floor]) for model in models]
+    assert len(set(textures)) == 4
+    # 64 independent pairs of 8 sets and 4 textures: about 28 of the 32 are there.
+    drawn = [env.parameter_set(index) for index in range(64)]
+    assert len(set(zip(drawn, textures, strict=True))) > 20
+
+
 def test_worlds_that_draw_are_not_randomised_besides() -> None:
     stepper = NativeStepper(TASK, DRAWN, num_envs=1, threads=1)
     with pytest.raises(RlcoError, match="cannot be randomised besides"):

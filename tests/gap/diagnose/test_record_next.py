@@ -171,6 +171,13 @@ def test_one_motion_is_enough_where_it_tells_all_apart() -> None:
     assert motion.log_bayes == pytest.approx(36.0)
 
 
+def test_of_motions_that_tell_clearly_that_of_few_joints_is_proposed() -> None:
+    for every, few, best in ((9.0, 4.0, "chirp_elbow"), (2.5, 2.0, "chirp_all")):
+        trials = [trial("chirp_all", *3 * [every]), trial("chirp_elbow", *3 * [few])]
+        (motion,) = proposed(NAMED, (A, B, C), trials)
+        assert motion.name == best
+
+
 def test_two_motions_are_proposed_where_one_cannot() -> None:
     trials = [trial("x", 2.0, 0.1, 0.1), trial("y", 0.1, 2.0, 0.1), trial("z", 0, 0, 2)]
     first, second = proposed(NAMED, (A, B), trials)

@@ -84,6 +84,21 @@ def test_a_chunk_that_stands_for_too_much_is_refused(
         storage_mcap.decompress(compress(b"abc" * 99)[:-6], name, 297, 0)
 
 
+def test_chunks_are_bounded_wherever_a_bag_is_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from rosbags.rosbag2 import storage_mcap
+
+    bag = write_compressed(tmp_path / "bag", CompressionMode.STORAGE, "mcap")
+    monkeypatch.setitem(
+        storage_mcap.DECOMPRESSORS, "zstd", lambda content, _: zstd.decompress(content)
+    )
+    monkeypatch.setattr(bag_sizes, "_FREE", 1000)
+    monkeypatch.setattr(bag_sizes, "RATIO", 0)
+    with pytest.raises(DataError, match=r"a chunk of .* is decompressed to more"):
+        read_log(bag, arm(tmp_path))
+
+
 def test_a_message_that_stands_for_too_much_is_refused(tmp_path: Path) -> None:
     bag = Writer(tmp_path / "bag", version=9, storage_plugin=STORES["db3"])
     bag.set_compression(CompressionMode.MESSAGE, CompressionFormat.ZSTD)

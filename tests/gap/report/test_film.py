@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 from dataclasses import replace
+from typing import Any
 
 import av
 import mujoco
@@ -69,6 +70,13 @@ def like(frame: np.ndarray, colour: str) -> int:
     return int(((green > red + 40) & (green > blue)).sum())
 
 
+def rows_like(part: np.ndarray, colour: str) -> np.ndarray:
+    """Return the rows in which some pixel has about a colour, such as ``#ff0000``."""
+    wanted = [int(colour[i : i + 2], 16) for i in (1, 3, 5)]
+    near = np.abs(part.astype(float) - wanted).max(axis=-1) < 40
+    return np.flatnonzero(near.any(axis=1))
+
+
 @pytest.mark.slow
 def test_each_model_is_seen_where_it_is_not_behind_the_robot() -> None:
     # 0.4 rad at the elbow of a 25 cm forearm: as they are, without enlargement.
@@ -80,6 +88,13 @@ def test_each_model_is_seen_where_it_is_not_behind_the_robot() -> None:
     assert like(middle, "orange") > 500
     # A model that moves as the robot does has no more than an outline.
     assert 0 < like(middle, "green") < 0.4 * like(middle, "orange")
+    # Below, what is left of the first is above what is left of the second: nothing.
+    plot = middle[film.TOP + film.SCENE :]
+    assert rows_like(plot, film.NOMINAL).max() < rows_like(plot, film.CORRECTED).min()
+    # The mark of the time is at a sixth of the plot's 476 pixels further each frame.
+    inside = frames[:, film.TOP + film.SCENE + 14 : -28, 70 : film.WIDTH - 26]
+    marks = 70 + inside.astype(float).sum(axis=(1, 3)).argmin(axis=1)
+    np.testing.assert_allclose(marks[1:], 64 + 476 * np.arange(1, 6) / 6, atol=1.0)
     _, swapped = played(motion(0.0, 0.4))
     assert like(swapped[3], "green") > 500
     assert like(swapped[3], "orange") < 0.4 * like(swapped[3], "green")
@@ -95,11 +110,16 @@ def test_small_differences_are_enlarged_and_the_film_says_so() -> None:
 
 
 @pytest.mark.slow
-def test_a_film_is_the_same_each_time_and_small() -> None:
+def test_a_film_is_the_same_each_time_and_small(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     made, _ = played(motion(0.1, 0.01))
     again, _ = played(motion(0.1, 0.01))
     assert made == again
     assert len(made.content) < film.LARGEST / 10
+    monkeypatch.setattr(film, "LARGEST", len(made.content) - 1)
+    smaller, _ = played(motion(0.1, 0.01))
+    assert len(smaller.content) < len(made.content)
 
 
 def test_what_has_no_shape_has_a_sentence_instead() -> None:
@@ -115,6 +135,18 @@ def test_what_has_no_shape_has_a_sentence_instead() -> None:
         "There is no film: the model has no geoms or meshes on its moving links, so "
         "there is no robot to draw."
     )
+
+
+def test_a_moment_is_no_film() -> None:
+    whole = motion(0.1, None)
+    short = replace(
+        whole,
+        time=whole.time[:4],  # 60 ms, less than a frame
+        measured=whole.measured[:4],
+        nominal=whole.nominal[:4],
+    )
+    said = make_film(spec(), short)
+    assert said == "There is no film: the seconds to show are too few."
 
 
 def test_only_the_robot_is_drawn_by_its_looks() -> None:
@@ -157,3 +189,24 @@ def test_torques_are_not_filmed(problem: Arm) -> None:
     assert isinstance(said, str)
     assert "joint positions were not compared" in said
     assert filmed(problem, verdict, []) is None
+
+
+def test_a_simulation_that_diverges_is_not_filmed(
+    problem: Arm, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    verdict = named(problem)
+    stretches = best_stretches(problem, verdict)
+    traces = problem.traces
+
+    def diverging(*given: Any) -> dict[str, Any]:
+        found = traces(*given)
+        simulated = np.where(
+            found["time"][:, None] > stretches[0].time[-1] - 0.1,
+            np.nan,
+            found["simulated"],
+        )
+        return {**found, "simulated": simulated}
+
+    monkeypatch.setattr(problem, "traces", diverging)
+    said = filmed(problem, verdict, stretches)
+    assert said == ("There is no film: the simulation diverges in the seconds to show.")

@@ -50,6 +50,10 @@ def test_a_corner_loses_the_vignettes_share_and_the_axis_nothing() -> None:
     moved = exposed(Look(vignette=0.4), flat(200), View(sensor_shift=(0.0, -0.5)))[0, 0]
     assert moved[0, 32] == 200
     assert moved[47, 32] < image[47, 32]
+    # Shifts are shares of the height in both directions, right and down.
+    aside = exposed(Look(vignette=0.4), flat(200), View(sensor_shift=(0.5, 0.0)))[0, 0]
+    assert aside[24, 56] == 200
+    assert aside[24, 0] == round(200 * (1 - 0.4 * (55.5**2 + 0.5**2) / 40**2))
     # Of a sensor of which a quarter is read out, the corners are not in the frame.
     cropped = exposed(Look(vignette=0.4), flat(200), View(crop=0.5))[0, 0]
     assert cropped[0, 0] == round(200 * (1 - 0.1 * (31.5**2 + 23.5**2) / 40**2))
@@ -94,15 +98,17 @@ def test_a_frames_noise_depends_on_its_key_alone() -> None:
         np.testing.assert_array_equal(alone[0], together[number])
     rows = np.tile(exposure_row(look, View(), SIZE), (6, 1))
     keys, out = np.arange(1, 7, dtype=np.uint64), frames.copy()
+    order = np.array([3, 0, 5, 1, 4, 2])
     with ThreadPoolExecutor(2) as pool:
         for part in ((0, 2), (2, 3), (3, 6)):
-            pool.submit(expose_range, *part, np.arange(6), rows, keys, out)
+            pool.submit(expose_range, *part, order, rows, keys, out)
     np.testing.assert_array_equal(out, together)
 
 
 def test_only_the_worlds_that_are_named_change() -> None:
     out = flat(100, 3)
-    rows = np.tile(exposure_row(Look(exposure=1.0), View(), SIZE), (3, 1))
+    looks = (Look(exposure=-1.0), Look(exposure=2.0), Look(exposure=1.0))
+    rows = np.stack([exposure_row(look, View(), SIZE) for look in looks])
     expose_range(0, 1, np.array([2]), rows, np.zeros(3, np.uint64), out)
     assert [int(image[0, 0, 0]) for image in out] == [100, 100, 137]
 

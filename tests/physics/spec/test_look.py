@@ -108,7 +108,12 @@ def test_an_unknown_name_of_a_look_is_refused() -> None:
 
 def numbers_of(look: Look) -> dict[str, list[float]]:
     lamp, views = (look.lights or ())[0], look.cameras
+    assert look.headlight is not None
+    east, north, up = (-x for x in lamp.direction)
     return {
+        "elevation": [float(np.arcsin(up))],
+        "azimuth": [float(np.arctan2(north, east))],
+        "headlight": list(look.headlight.diffuse),
         "saturation": [look.surfaces[part].saturation for part in ("objects", "robot")],
         "diffuse": list(lamp.diffuse),
         "ambient": list(lamp.ambient),
@@ -131,6 +136,16 @@ def test_random_looks_fill_their_ranges_and_stay_inside() -> None:
         found = np.array([numbers_of(look)[name] for look in drawn])
         assert low <= found.min() < low + 0.05 * (high - low)
         assert high - 0.05 * (high - low) < found.max() <= high
+        if name not in ("diffuse", "ambient", "headlight"):  # which are grey
+            # Independent numbers of 200 looks: a correlation deviates by 0.07.
+            apart = np.corrcoef(found.T) - np.eye(found.shape[1])
+            assert np.abs(apart).max() < 0.35
+    colours = np.array([[s.colour for s in look.surfaces.values()] for look in drawn])
+    # Each colour is a brightness of 0.6 to 1, times a tint of 0.85 to 1 of its own.
+    assert 0.6 * 0.85 <= colours.min() < 0.55
+    assert 0.95 < colours.max() <= 1.0
+    shades = colours.min(axis=-1) / colours.max(axis=-1)
+    assert 0.85 <= shades.min() < 0.87
     for part, names in ranges.textures.items():
         assert {look.surfaces[part].texture for look in drawn} == set(names)
     lamps = np.array([(look.lights or ())[0].direction for look in drawn])
@@ -152,12 +167,42 @@ def test_a_look_is_drawn_by_its_seed_alone() -> None:
     [
         ({"exposure": (1.0, -1.0)}, "give its least and its greatest value"),
         ({"noise": (0.0, 0.9)}, "noise=0.9 of a look is out of range"),
+        ({"noise": (-0.1, 0.1)}, "noise=-0.1 of a look is out of range"),
         ({"textures": {"robot": ("clay",)}}, "texture='clay' of 'robot' cannot be"),
     ],
 )
 def test_ranges_that_hold_what_is_no_look_are_refused(given: Any, said: str) -> None:
     with pytest.raises(RlcoError, match=said):
         LookRanges(**given)
+
+
+@pytest.mark.parametrize(
+    "one",
+    [
+        {"exposure": 0.1},
+        {"white_balance": (1.0, 1.1)},
+        {"vignette": 0.1},
+        {"blur": 0.01},
+        {"noise": 0.01},
+    ],
+)
+def test_what_lens_and_sensor_do_changes_frames_alone(one: Any) -> None:
+    look = Look(**one)
+    assert (look.changes_frames, look.changes_scene) == (True, False)
+
+
+@pytest.mark.parametrize(
+    "one",
+    [
+        {"surfaces": {"table": Surface()}},
+        {"lights": ()},  # none, instead of those of ``sim``
+        {"headlight": Light()},
+        {"cameras": {"agentview": View()}},
+    ],
+)
+def test_what_is_drawn_otherwise_changes_the_scene_alone(one: Any) -> None:
+    look = Look(**one)
+    assert (look.changes_frames, look.changes_scene) == (False, True)
 
 
 def test_the_three_looks_differ_in_every_respect_that_they_give() -> None:

@@ -72,6 +72,10 @@ DAMAGED: dict[str, tuple[Any, str]] = {
         {"columns": [{**COLUMN, "effect": 3}], "rows": [[1.0]]},
         "which the file's effect 3 has not",
     ),
+    "other target": (
+        {"columns": [{**COLUMN, "target": "joint5"}], "rows": [[1.0]]},
+        "which the file's effect 2 has not",
+    ),
     "no effect": (
         {"columns": [{**COLUMN, "effect": 9}], "rows": [[1.0]]},
         "which the file's effect 9 has not",

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import mujoco
 import numpy as np
 import pytest
 import torch
@@ -13,12 +14,15 @@ from numpy.typing import NDArray
 
 from rlco.envs import TabletopEnv, make_env, make_robosuite
 from rlco.errors import RlcoError, UnknownNameError
+from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.rendering.exposure import GAMMA
 from rlco.physics.rendering.raster import RasterCamera
 from rlco.physics.spec.domain import SIM, with_look
-from rlco.physics.spec.look import Look, Surface, View
+from rlco.physics.spec.look import Light, Look, Surface, View
 from rlco.physics.spec.looks import LOOKS
 from rlco.physics.tasks.gymnasium_env import TaskEnv
+from rlco.physics.tasks.push_cube import TASK
+from rlco.physics.tasks.views import Views
 
 SIZE = (64, 64)
 CAMERAS = ("agentview", "robot0_eye_in_hand")
@@ -98,6 +102,31 @@ def test_a_look_changes_images_and_nothing_else() -> None:
     assert torch.equal(ends[0], ends[2])
 
 
+def test_noise_is_new_in_each_frame_episode_and_camera() -> None:
+    one, look = np.zeros(1, np.int64), Look(noise=0.05)
+    stage = NativeStepper(TASK, SIM, num_envs=1, threads=1)
+    stage.reset([TASK.sample(np.random.default_rng(0), None)])
+    noisy, plain = (
+        Views(stage, look, SIZE, cameras=CAMERAS, renderer="raster")
+        for look in (look, Look())
+    )
+    plain.draw(one, one)
+
+    def noise(seed: int, episode: int, elapsed: int) -> NDArray[np.float64]:
+        """Return what is added to the same two images."""
+        noisy.start(one, seed, [episode])
+        noisy.draw(one, np.array([elapsed]))
+        pairs = ((noisy.images[name], plain.images[name]) for name in CAMERAS)
+        return np.stack([a.astype(float) - b for a, b in pairs])
+
+    first = noise(1, 2, 3)
+    np.testing.assert_array_equal(first, noise(1, 2, 3))
+    others = noise(9, 2, 3), noise(1, 9, 3), noise(1, 2, 9), first[::-1]
+    for other in others:
+        # 2.5e4 values: the correlation of independent ones has a deviation of 0.006.
+        assert abs(np.corrcoef(first.ravel(), other.ravel())[0, 1]) < 0.05
+
+
 def test_the_domains_own_look_is_the_default() -> None:
     own, given, plain = (
         env_in(look, domain="stand_in", renderer="raster").reset()
@@ -124,6 +153,7 @@ def test_an_object_by_its_name_has_the_colour_that_it_is_given() -> None:
         )
         colours = channels.image[:, channels.geom == geom].astype(int)
         assert colours.size
+        assert (model.geom_rgba[geom, :3] == 0.0).all() == black
         if black:  # but for what the light mirrors
             assert (colours.max(axis=0) - colours.min(axis=0)).max() == 0
         assert np.abs(colours - colours[0]).max() <= 1  # no colour is left
@@ -198,6 +228,85 @@ def test_a_shifted_sensor_moves_the_image_by_whole_pixels() -> None:
     # What is seen at (row, column) is seen 8 columns to the right and 4 rows above.
     same = moved[:, :-4, 8:] == plain[:, 4:, :-8]
     assert same.float().mean() > 0.99
+
+
+LARGE = 160  # pixels
+
+
+def by_hand(model: Any, data: Any, view: View) -> Any:
+    """Return row and column of the red cube's centre, by a view of agentview."""
+    number = model.camera("agentview").id
+    axes, at = data.cam_xmat[number].reshape(3, 3), data.cam_xpos[number]
+    turn = np.eye(3)
+    for axis, angle in zip(np.eye(3), view.turn, strict=True):
+        x, y, z = axis
+        cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+        # Rodrigues' formula.
+        turn = turn @ (
+            np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+        )
+    at = at + axes @ view.shift
+    x, y, z = (axes @ turn).T @ (data.body("red_cube_main").xpos - at)
+    angle = np.deg2rad(view.field_of_view or model.cam_fovy[number])
+    focal = 0.5 / np.tan(angle / 2) / view.crop
+    right, down = view.sensor_shift
+    return LARGE * np.array([0.5 + down + focal * y / z, 0.5 + right - focal * x / z])
+
+
+@pytest.mark.parametrize(
+    "view",
+    [
+        View(shift=(0.05, -0.03, 0.08)),
+        View(turn=(0.05, -0.08, 0.3)),
+        View(field_of_view=60.0),
+        View(crop=0.7),
+        View(sensor_shift=(0.15, -0.1)),
+    ],
+)
+def test_a_view_shows_an_object_where_a_pinhole_camera_does(view: View) -> None:
+    plain, moved = (
+        make_robosuite("push_cube", domain=with_look(SIM, look), seed=3)
+        for look in (Look(), Look(cameras={"agentview": view}))
+    )
+    model, data = plain.sim.model._model, plain.sim.data._data
+
+    def found(env: Any) -> NDArray[np.float64]:
+        """Return the middle of the red cube's pixels."""
+        model, data = env.sim.model._model, env.sim.data._data
+        channels = RasterCamera(model, (LARGE, LARGE)).channels(data)
+        body = model.geom_bodyid == model.body("red_cube_main").id
+        shown = np.argwhere(np.append(body, False)[channels.geom])
+        middle: NDArray[np.float64] = shown.mean(axis=0)
+        return middle
+
+    expected = by_hand(model, data, view) - by_hand(model, data, View())
+    assert np.abs(expected).max() > 4.0
+    # The middle of what is seen of a cube is not quite its centre's image.
+    np.testing.assert_allclose(found(moved) - found(plain), expected, atol=1.0)
+
+
+def test_a_scene_has_the_surfaces_and_the_lights_of_its_look() -> None:
+    look = Look(
+        surfaces={"table": Surface("dark-wood", gloss=0.25), "floor": Surface("none")},
+        lights=(Light(position=(0.1, 0.2, 1.5), direction=(0.0, 3.0, -4.0)),),
+        headlight=Light(ambient=(0.1, 0.2, 0.3), specular=(0.4, 0.5, 0.6)),
+    )
+    env = make_robosuite("push_cube", domain=with_look(SIM, look), seed=3)
+    model = env.sim.model._model
+    role = mujoco.mjtTextureRole.mjTEXROLE_RGB
+    table, floor = model.material("table_ceramic"), model.material("floorplane")
+    assert model.texture(table.texid[role]).name == "look_cube_dark-wood"
+    assert floor.texid[role] == -1
+    assert table.specular == 0.25
+    assert model.light_active[0]
+    assert model.light_type[0] == mujoco.mjtLightType.mjLIGHT_POINT
+    np.testing.assert_allclose(model.light_pos[0], (0.1, 0.2, 1.5))
+    np.testing.assert_allclose(model.light_dir[0], (0.0, 0.6, -0.8))
+    head = model.vis.headlight
+    np.testing.assert_allclose(head.ambient, (0.1, 0.2, 0.3), rtol=1e-6)
+    np.testing.assert_allclose(head.specular, (0.4, 0.5, 0.6), rtol=1e-6)
+    dark = make_robosuite("push_cube", domain=with_look(SIM, Look(lights=())), seed=3)
+    assert not dark.sim.model._model.light_active.any()
 
 
 # -- What is refused ----------------------------------------------------------------
