@@ -6,7 +6,7 @@ Each experiment of benchmarks/experiments whose cells are all there gets a page 
 its tables, docs/tables/NAME.md, and figures, docs/figures/NAME-*.png. In README.md and
 the pages of docs, what stands between the lines `<!-- results NAME -->` and
 `<!-- end -->` becomes the first table of NAME: of several groups the overview, and what
-was predicted.
+was predicted. After `<!-- results NAME: COLUMN, COLUMN -->` it has these columns alone.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ BENCHMARKS = ROOT / "benchmarks"
 #: Where the cells of an experiment are, if not in a folder of its name.
 ON_PUSH_CUBE = ("alignment", "two_by_two", "length", "methods", "adapted")
 CELLS = {**dict.fromkeys(ON_PUSH_CUBE, "push_cube"), "planar_adapted": "planar"}
-MARKED = re.compile(r"(<!-- results (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+MARKED = re.compile(
+    r"(<!-- results (\w+)(?:: ([^>]+))? -->\n).*?(<!-- end -->)", re.DOTALL
+)
 
 
 def main() -> None:
@@ -90,10 +92,26 @@ def filled(text: str, tables: Mapping[str, str]) -> str:
     """Return a page with its marked tables; as they were, where there is none."""
 
     def part(found: re.Match[str]) -> str:
-        begin, name, end = found.groups()
-        return f"{begin}{tables[name]}\n{end}" if name in tables else found[0]
+        begin, name, columns, end = found.groups()
+        if name not in tables:
+            return found[0]
+        table = tables[name]
+        if columns:
+            table = narrowed(table, [column.strip() for column in columns.split(",")])
+        return f"{begin}{table}\n{end}"
 
     return MARKED.sub(part, text)
+
+
+def narrowed(tables: str, columns: list[str]) -> str:
+    """Return the first column of the first table and some others, without its marks."""
+    lines = [
+        [cell.strip() for cell in line.strip("|").split("|")]
+        for line in tables.split("\n\n")[0].splitlines()
+    ]
+    kept = [0, *(lines[0].index(column) for column in columns)]
+    rows = [[line[place].removesuffix(" \\*") for place in kept] for line in lines]
+    return "\n".join(f"| {' | '.join(row)} |" for row in rows)
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ def test_marked_tables_are_what_the_cells_say(
         for page in (ROOT / "README.md", *sorted(DOCS.glob("*.md")))
     }
     marked = {
-        name for text in texts.values() for _, name, _ in module.MARKED.findall(text)
+        name for text in texts.values() for _, name, *_ in module.MARKED.findall(text)
     }
     assert "planar" in marked
     tables = {
@@ -50,3 +50,12 @@ def test_marked_tables_are_what_the_cells_say(
         assert module.filled(text, tables) == text, page
     # Figures of the page lie where it looks for them.
     assert (tmp_path / "figures" / "planar-prediction-1.png").is_file()
+
+
+def test_a_table_may_be_narrowed_to_some_columns() -> None:
+    table = "| method | sim | worst | real |\n|---|---|---|---|\n"
+    table += "| sft \\* | 5% | 3% | 7% |"
+    begin, end = "a\n<!-- results m: real, sim -->\n", "\n<!-- end -->\nb"
+    narrow = "| method | real | sim |\n| --- | --- | --- |\n| sft | 7% | 5% |"
+    tables = {"m": f"{table}\n\n| more |"}
+    assert script().filled(f"{begin}old{end}", tables) == f"{begin}{narrow}{end}"
