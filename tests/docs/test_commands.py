@@ -75,6 +75,8 @@ RUN_BY = {
     ),
     "find_gap.py model=arm.xml reference=before data=after": "gap/test_reference.py",
     "find_gap.py model=arm.xml data=logs calibrate=usual": "gap/test_reference.py",
+    "find_gap.py model=hobby_arm/arm.xml data=hobby_arm/recordings angles=degrees "
+    "rename=gripper:-": "docs/test_so101_page.py",
 }
 # What a page cannot run here: it needs a network, a robot, hours, or is run elsewhere.
 ELSEWHERE = {
@@ -85,6 +87,7 @@ ELSEWHERE = {
     "uv run ruff format": ".ci/run",
     "uv run --group docs sphinx-build -W docs docs/_build": "a network's packages",
     "uv build --wheel": "tests/test_cli.py",
+    "uv run python docs/hobby_arm.py": "tests/docs/test_so101_page.py",
     "uv run tensorboard --logdir outputs": "a server",
     "uv run scripts/": "a network, or figures",
     "uv run torchrun ": "tests/recipes/test_rl_co_launch.py, without torchrun itself",
