@@ -20,15 +20,15 @@ import json
 import os
 import random
 import shutil
-import signal
 import sys
 import tempfile
 import time
-import traceback
 from collections import Counter
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing import get_context
+from multiprocessing.context import ForkProcess
 from pathlib import Path
 from typing import Any
 
@@ -100,37 +100,25 @@ class Case:
     goes_on: str = "resume"
 
 
-def start(recipe: str, options: list[str], log: Path) -> int:
-    """Run a recipe in a process of its own, forked from this one; return its id."""
+def start(recipe: str, options: list[str], log: Path) -> ForkProcess:
+    """Run a recipe in a process of its own, forked from this one."""
+    process = get_context("fork").Process(target=_run, args=(recipe, options, log))
+    process.start()
+    return process
+
+
+def _run(recipe: str, options: list[str], log: Path) -> None:
+    output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+    os.dup2(output, 1)
+    os.dup2(output, 2)
     module: Any = importlib.import_module(recipe)
-    if (child := os.fork()) != 0:
-        return child
-    status = 1
-    try:
-        output = os.open(log, os.O_WRONLY | os.O_CREAT | os.O_APPEND)
-        os.dup2(output, 1)
-        os.dup2(output, 2)
-        run_recipe(module.main, module.Config, options)
-        status = 0
-    except SystemExit as stop:
-        status = stop.code if isinstance(stop.code, int) else 1
-    except BaseException:  # noqa: BLE001 - a fork must not run on in this script
-        traceback.print_exc()
-    finally:
-        sys.stdout.flush()
-        sys.stderr.flush()
-        os._exit(status)
+    run_recipe(module.main, module.Config, options)
 
 
-def ended(child: int, within: float | None = None) -> int | None:
+def ended(process: ForkProcess, within: float | None = None) -> int | None:
     """Wait for a process; return its status, None if it runs on after so long [s]."""
-    until = None if within is None else time.monotonic() + within
-    while until is None or time.monotonic() < until:
-        pid, status = os.waitpid(child, 0 if until is None else os.WNOHANG)
-        if pid:
-            return os.waitstatus_to_exitcode(status)
-        time.sleep(0.002)
-    return None
+    process.join(within)
+    return process.exitcode
 
 
 def to_its_end(recipe: str, options: list[str], log: Path) -> None:
@@ -337,11 +325,11 @@ def kill_and_go_on(case: Case, place: Path, kills: int, draw: random.Random) -> 
     counts: Counter[str] = Counter({"files": len(whole)})
     counts["seconds"] = round(lasted)
     while counts["killed"] < kills:
-        child = start(case.recipe, begin, log)
+        process = start(case.recipe, begin, log)
         part = (counts["killed"] + draw.random()) / kills  # spread over all of it
-        if ended(child, part * lasted) is None:
-            os.kill(child, signal.SIGKILL)
-            os.waitpid(child, 0)
+        if ended(process, part * lasted) is None:
+            process.kill()
+            process.join()
             counts["killed"] += 1
         else:  # faster than the first time: it is none of the kills
             shutil.rmtree(out, ignore_errors=True)

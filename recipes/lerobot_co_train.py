@@ -19,8 +19,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from rlco.errors import ConfigError
 from rlco.run import Run, run_recipe
-from rlco.runs.config import REQUIRED, RunOptions, folder_name, option
+from rlco.runs.config import REQUIRED, folder_name, option
 from rlco.training.options.policy_options import LARGEST_LR
+from rlco.training.options.training_domain_options import TrainingDomainOptions
 
 if TYPE_CHECKING:
     from rlco.physics.spec.domain import Domain
@@ -31,7 +32,7 @@ log = logging.getLogger("rlco.lerobot_co_train")
 
 
 @dataclass
-class Config(RunOptions):
+class Config(TrainingDomainOptions):
     """Options of lerobot_co_train.py."""
 
     name: str = option(
@@ -138,19 +139,6 @@ class Config(RunOptions):
         ["sim"],
         "domains to evaluate in: names, MODULE:NAME, or paths of effects.yaml files",
         input="file",
-    )
-    train_domain: str = option(
-        "sim",
-        "domain to train in: a name, MODULE:NAME, or the path of an effects.yaml",
-        input="file",
-    )
-    train_sample: Literal["none", "posterior"] = option(
-        "none",
-        "posterior: each training episode draws one of the parameter sets in "
-        "train_domain's file",
-    )
-    effects_code: str | None = option(
-        None, "Python file that registers effects of your own", input="file"
     )
 
 

@@ -8,10 +8,11 @@ from typing import Literal, Protocol
 from rlco.runs.config import REQUIRED, folder_name, option
 from rlco.training.distributed.launch import LaunchOptions
 from rlco.training.options.policy_options import LARGEST_LR, AugmentOptions
+from rlco.training.options.training_domain_options import TrainingDomainOptions
 
 
 @dataclass
-class StageTwoOptions(LaunchOptions, AugmentOptions):
+class StageTwoOptions(LaunchOptions, AugmentOptions, TrainingDomainOptions):
     """Options of Stage II."""
 
     name: str = option(
@@ -138,19 +139,6 @@ class StageTwoOptions(LaunchOptions, AugmentOptions):
     )
     final_domains: list[str] = option(
         [], "further ones for the last evaluation alone, such as locked", input="file"
-    )
-    train_domain: str = option(
-        "sim",
-        "domain to train in: a name, MODULE:NAME, or the path of an effects.yaml",
-        input="file",
-    )
-    train_sample: Literal["none", "posterior"] = option(
-        "none",
-        "posterior: each training episode draws one of the parameter sets in "
-        "train_domain's file",
-    )
-    effects_code: str | None = option(
-        None, "Python file that registers effects of your own", input="file"
     )
 
     @property
