@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gc
+from collections.abc import Iterator
 from typing import Any
 
 import mujoco
@@ -14,6 +16,14 @@ from rlco.errors import RlcoError, SimulationError, UnknownNameError
 from rlco.physics.native.robosuite_batch import RobosuiteBatch
 from rlco.physics.robosuite.robosuite_api import robosuite
 from rlco.physics.robosuite.tasks import make_plain
+
+
+@pytest.fixture(autouse=True, scope="module")
+def forgotten_pairs() -> Iterator[None]:
+    """Free the pairs at the end: with 35 GB of address space no process can fork."""
+    yield
+    pair.cache_clear()
+    gc.collect()
 
 
 @pytest.mark.slow
