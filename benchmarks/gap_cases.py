@@ -25,7 +25,7 @@ from gap_folders import write_case
 from gap_motions import MOTIONS, Motion, commands
 from gap_plant import Hidden, make_plant
 from gap_recording import Recorded, read_out, record
-from gap_sizes import IN_LIBRARY, OUTSIDE, Usual, draw, usual
+from gap_sizes import IN_LIBRARY, OUTSIDE, UNCOMMON, Usual, draw, usual
 
 DEVELOPMENT_SEED, BENCHMARK_SEED = 0, 11000
 # An effect at another joint is drawn where one shows too little.
@@ -44,7 +44,7 @@ class Case:
         name: Of its folder.
         group: ``none``, ``single``, ``pair``, ``triple``, ``outside``, or one of them
             with ``_hard`` or ``_demo``; ``leave_out`` where a search has to do without
-            the very effect.
+            the very effect; ``uncommon``.
         arm: One of `gap_arms.ARMS`.
         motion: One of `gap_motions.MOTIONS`.
         effects: Names of what is hidden.
@@ -69,7 +69,7 @@ def plan(first_seed: int, groups: Sequence[str] = ()) -> list[Case]:
     Example:
         >>> cases = plan(0)
         >>> len(cases), len({case.name for case in cases})
-        (249, 249)
+        (299, 299)
     """
     cases = list(_cases(first_seed))
     return [case for case in cases if not groups or case.group in groups]
@@ -116,6 +116,8 @@ def _cases(first_seed: int) -> Iterator[Case]:
             yield case(f"outside{suffix}", motion, (name,), 1.0 if rounds == 1 else 1.5)
     for name in IN_LIBRARY:
         yield case("leave_out", "excite", (name,), 1.0, (name,))
+    for _, name in zip(range(50), cycle(UNCOMMON), strict=False):
+        yield case("uncommon", "excite", (name,))
 
 
 def make_case(case: Case, folder: Path) -> dict[str, Any]:
@@ -225,11 +227,30 @@ def _repeated(
     return {name: values[source] for name, values in rows.items()}
 
 
+def _as_named(effect: Hidden) -> tuple[Hidden, ...]:
+    """Return a hidden effect as what a search should name."""
+    numbers = effect.parameters
+    if effect.name == "torque_ripple":
+        return (Hidden("cogging", effect.target, numbers),)
+    if effect.name == "directional_friction":
+        friction = {"frictionloss": numbers["frictionloss"]}
+        return (
+            Hidden("coulomb_friction", effect.target, friction),
+            Hidden("torque_bias", effect.target, {"torque": numbers["torque"]}),
+        )
+    return (effect,)
+
+
 def _truth(
     case: Case, motion: Motion, hidden: Sequence[Hidden], shows: Sequence[float]
 ) -> dict[str, Any]:
     effects = []
-    for effect, seen in zip(hidden, shows, strict=True):
+    told = [
+        (part, seen)
+        for effect, seen in zip(hidden, shows, strict=True)
+        for part in _as_named(effect)
+    ]
+    for effect, seen in told:
         numbers = dict(effect.parameters)
         row: dict[str, Any] = {"name": effect.name, "target": effect.target}
         row["value"] = next(iter(numbers.values()))

@@ -1,4 +1,4 @@
-"""How well hidden effects are named: 249 cases of our own making, and others' answers.
+"""How well hidden effects are named: 299 cases of our own making, and others' answers.
 
     python benchmarks/gap_naming.py out=outputs/gap_naming            # ten minutes
     python benchmarks/gap_naming.py out=outputs/gap_naming all=true   # everything

@@ -216,6 +216,8 @@ class _Forces:
             "torque_bias",
             "torque_ripple",
             "cogging",
+            "hardening_spring",
+            "directional_friction",
             "slow_drift",
             "encoder_eccentricity",
             "external_push",
@@ -246,12 +248,18 @@ class _Forces:
                 case "torque_bias":
                     data.qfrc_applied[dof] += effect["torque"]
                 case "torque_ripple":
-                    turn = 2 * np.pi * angle / effect["period"] + effect["phase"]
+                    turn = effect["count"] * angle + effect["phase"]
                     data.qfrc_applied[dof] += effect["amplitude"] * np.sin(turn)
                 case "cogging":
-                    turn = effect["poles"] * angle + effect["phase"]
+                    turn = effect["count"] * angle + effect["phase"]
                     wave = np.sin(turn) + 0.5 * np.sin(2 * turn)
                     data.qfrc_applied[dof] += effect["amplitude"] * wave
+                case "hardening_spring":
+                    away = angle - effect["rest"]
+                    data.qfrc_applied[dof] -= effect["hardening"] * away**3
+                case "directional_friction":
+                    friction[dof] += effect["frictionloss"]
+                    data.qfrc_applied[dof] += effect["torque"]
                 case "slow_drift":
                     part = 2 * self.session[step] - 1
                     data.qfrc_applied[dof] += effect["amplitude"] * part

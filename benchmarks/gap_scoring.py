@@ -225,13 +225,19 @@ def _details(rows: Sequence[Answered]) -> str:
     def rate(groups: Sequence[str], test: Callable[[Score], bool]) -> str:
         return share_of([test(row.score) for row in of(*groups)])
 
+    def unknown(test: Callable[[Score], bool]) -> str:
+        # The library has grown: some that were outside it are not any more.
+        rows = of("outside", "outside_hard")
+        lacks = [any(e.get("outside") for e in r.truth["effects"]) for r in rows]
+        return share_of([test(r.score) for r, x in zip(rows, lacks, strict=True) if x])
+
     singles = of("single")
     hard = ("single_hard", "pair_hard", "triple_hard")
     named = ("single", "single_hard", "pair", "triple", "pair_hard", "triple_hard")
     errors = [error for row in singles for error in row.score.errors]
     within = [inside for row in of(*named) for inside in row.score.covered]
     sizes = [row.score.size for row in of("single_demo") if row.score.size]
-    nothing, outside = ("none", "none_hard", "none_demo"), ("outside", "outside_hard")
+    nothing = ("none", "none_hard", "none_demo")
     lines = ["| measure | value | wanted |", "|---|---|---|"]
     for severity, wanted in ((0.5, "85 %"), (1.0, "95 %"), (2.0, "95 %")):
         exact = [r.score.exact for r in singles if r.truth["severity"] == severity]
@@ -256,13 +262,14 @@ def _details(rows: Sequence[Answered]) -> str:
         ("triples exact", rate(["triple"], lambda s: s.exact), "80 %"),
         ("hard, all sizes: exact", rate(hard, lambda s: s.exact), ""),
         ("false alarms without a gap", rate(nothing, lambda s: s.wrong > 0), "3 %"),
-        ("outside the library: abstains", rate(outside, lambda s: s.abstains), ""),
-        ("outside: abstains or warns", rate(outside, lambda s: s.warns), "90 %"),
+        ("outside the library: abstains", unknown(lambda s: s.abstains), ""),
+        ("outside: abstains or warns", unknown(lambda s: s.warns), "90 %"),
         (
             "outside: wrong without a warning",
-            rate(outside, lambda s: s.confident_wrong),
+            unknown(lambda s: s.confident_wrong),
             "5 %",
         ),
+        ("uncommon effects: exact", rate(["uncommon"], lambda s: s.exact), "90 %"),
         (
             "one effect left out: abstains or warns",
             rate(["leave_out"], lambda s: s.warns),

@@ -23,6 +23,7 @@ from rlco.gap.search.steps.plain_shares import plain_shares
 from rlco.gap.search.steps.rivals import rivals
 from rlco.gap.search.steps.sensitivity import rewhiten
 from rlco.gap.search.steps.start import split, start
+from rlco.gap.search.steps.uncommon import uncommon
 from rlco.gap.search.verdict import NOTHING_SEARCHED, conclude
 
 Progress = Callable[[str, float], None]
@@ -89,6 +90,7 @@ def search(first: State, on_step: Progress | None = None) -> tuple[State, bool]:
 def states(state: State) -> Iterator[State]:
     """Yield the state after each step of a search, until it ends."""
     state = yield from additions(state)
+    state = yield from uncommon(state, additions)
     state = yield from elsewhere(state, additions)
     steps = (exact_model, rivals, intervals, plain_shares, residual, free_form)
     for step in steps:

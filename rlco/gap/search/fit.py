@@ -103,6 +103,7 @@ class _Running:
         self.high = np.array([p.high for p in known])
         self.size = np.array([usual_size(p) for p in known])
         self.resolution = np.array([p.resolution for p in known])
+        self.step = np.array([p.step for p in known])
         values = [v for effect in effects for v in effect.parameters.values()]
         first = np.array(values, dtype=float)
         self.values: Array = np.clip(first, self.low, self.high)
@@ -120,6 +121,7 @@ class _Running:
         """Steps of the forward differences, towards the inside of the bounds."""
         step = 0.02 * np.maximum(self.size * 0.25, np.abs(self.values) * 0.5)
         step = np.minimum(step, 0.25 * (self.high - self.low))
+        step = np.where(self.step > 0.0, self.step, step)
         return np.where(self.values + step > self.high, -step, step)
 
     def gauss_newton(self) -> Array:

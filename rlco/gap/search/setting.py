@@ -120,6 +120,7 @@ class Setting:
             noise, (N,).
         blocks: Block of time of each residual, training first, (N,).
         series: Block and channel of each residual, training first, (N,).
+        excluded: Names of effects that are left out.
     """
 
     problem: Problem
@@ -133,6 +134,7 @@ class Setting:
     calm: Array
     blocks: Integers
     series: Integers
+    excluded: frozenset[str] = frozenset()
 
     def residuals(
         self, lists: Sequence[tuple[AppliedEffect, ...]], recordings: tuple[int, ...]

@@ -26,6 +26,8 @@ from rlco.gap.search.judge import (
 )
 from rlco.gap.search.posterior import sample
 from rlco.gap.search.state import Residual, Rivals, State
+from rlco.physics.effects.actuator import TORQUE_BIAS
+from rlco.physics.effects.friction import COULOMB_FRICTION, DIRECTIONAL_FRICTION
 
 CLOSEST = 5  # effects that are reported where none is named
 DOUBT = "more is missing than what is named, or something else"
@@ -65,6 +67,7 @@ def conclude(state: State, *, complete: bool = True, seconds: float = 0.0) -> Ve
         train=state.setting.train,
         heldout=state.setting.heldout,
         trail=state.trail,
+        remarks=_by_direction(state) if named else (),
         free_form=state.free_form,
         sample=_sample(state) if named else None,
     )
@@ -116,6 +119,23 @@ def _named_effects(state: State) -> tuple[NamedEffect, ...]:
             )
         )
     return tuple(named)
+
+
+def _by_direction(state: State) -> tuple[str, ...]:
+    """Say which frictions are as well one that depends on the direction of motion."""
+    at = {(e.name, e.target): float(e.values[0]) for e in state.best.effects}
+    remarks = []
+    for (name, joint), bias in at.items():
+        friction = at.get((COULOMB_FRICTION.name, joint), 0.0)
+        if name != TORQUE_BIAS.name or abs(bias) > friction:
+            continue
+        forward, backward = friction - bias, friction + bias
+        remarks.append(
+            f"The two torques at {joint} are as well one friction that depends on the "
+            f"direction of motion: {forward:.3g} forwards and {backward:.3g} backwards "
+            f"({DIRECTIONAL_FRICTION.name}); no recording tells the two apart."
+        )
+    return tuple(remarks)
 
 
 def _sample(state: State) -> Array | None:

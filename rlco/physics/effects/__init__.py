@@ -23,6 +23,7 @@ from rlco.physics.effects.contact import CONTACT_FRICTION, CONTACT_STIFFNESS
 from rlco.physics.effects.effect import AppliedEffect, Effect, Evidence, Parameter
 from rlco.physics.effects.friction import (
     COULOMB_FRICTION,
+    DIRECTIONAL_FRICTION,
     LOAD_FRICTION,
     STRIBECK_FRICTION,
     VISCOUS_DAMPING,
@@ -49,6 +50,8 @@ from rlco.physics.effects.sensing import ENCODER_SCALE, JOINT_OFFSET
 from rlco.physics.effects.step_forces import address_of_law
 from rlco.physics.effects.transmission import (
     BACKLASH,
+    COGGING,
+    HARDENING_SPRING,
     JOINT_COMPLIANCE,
     JOINT_STIFFNESS,
 )
@@ -81,6 +84,9 @@ _LIBRARY = (
     CONTACT_FRICTION,
     CONTACT_STIFFNESS,
     OBJECT_MASS,
+    COGGING,
+    HARDENING_SPRING,
+    DIRECTIONAL_FRICTION,
     TORQUE_SCALE,
     TORQUE_OFFSET,
     SCENE_FRICTION,
@@ -106,14 +112,21 @@ def register(effect: Effect) -> None:
     EFFECTS[effect.name] = effect
 
 
-def searched(evidence: Evidence) -> list[Effect]:
+def searched(evidence: Evidence, *, uncommon: bool = False) -> list[Effect]:
     """Return the effects that a search tries on one kind of recordings.
+
+    Args:
+        evidence: The kind of recordings.
+        uncommon: Those that are tried only where the others leave something.
 
     Example:
         >>> [effect.name for effect in searched("flight")]
         ['gravity_tilt', 'contact_friction', 'contact_stiffness', 'object_mass']
+        >>> [effect.name for effect in searched("positions", uncommon=True)]
+        ['cogging', 'hardening_spring']
     """
-    return [e for e in EFFECTS.values() if e.candidate and evidence in e.shown_by]
+    tried = [e for e in EFFECTS.values() if e.candidate and e.uncommon == uncommon]
+    return [effect for effect in tried if evidence in effect.shown_by]
 
 
 # Effects registered by each user file.

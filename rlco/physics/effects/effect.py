@@ -61,6 +61,8 @@ class Parameter:
             away are tried besides gradient steps. 0 where it is smooth.
         present: What the model has of it already, for reports to say before and after;
             None where that is nothing, or not one number.
+        step: Change at which a derivative is taken; 0: a share of the value and of the
+            starts, which for the number of waves along a path would be far too much.
     """
 
     name: str
@@ -72,6 +74,7 @@ class Parameter:
     scales: bool = True
     resolution: float = 0.0
     present: Present | None = None
+    step: float = 0.0
 
     def after(self, value: float) -> float:
         """Return what the model has with a value of it; that, where nothing is present.
@@ -150,6 +153,8 @@ class Effect:
             `rlco.gap.compare.model_tolerance`) that it changes at its target.
         by_hand: What to record where no motion of the arm would reveal it, a sentence.
         candidate: Whether a search tries it; otherwise it acts only where it is given.
+        uncommon: Whether a search tries it only where all others leave something; see
+            `rlco.gap.search.steps.uncommon`.
     """
 
     name: str
@@ -173,6 +178,7 @@ class Effect:
     tolerances: tuple[str, ...] = ()
     by_hand: str | None = None
     candidate: bool = True
+    uncommon: bool = False
 
     @property
     def acts_on(self) -> frozenset[Site]:

@@ -1,4 +1,4 @@
-"""Friction of joints: Coulomb, viscous, Stribeck, and in proportion to the load."""
+"""Friction of joints: Coulomb, by direction, viscous, Stribeck, by the load."""
 
 from __future__ import annotations
 
@@ -146,4 +146,51 @@ LOAD_FRICTION = Effect(
     targets=driven_joints,
     parameters=_load_friction_parameters,
     friction=_load_friction,
+)
+
+
+def _directional_friction_parameters(
+    model: mujoco.MjModel, target: str | None
+) -> tuple[Parameter, ...]:
+    torque = holding_torque(model, str(target))
+    starts = (0.1 * torque, 0.4 * torque)
+    return (
+        Parameter("forward", "N m", 0.0, 20.0 * torque, 0.0, starts),
+        Parameter("backward", "N m", 0.0, 20.0 * torque, 0.0, starts),
+    )
+
+
+def _directional_friction(
+    position: float,
+    velocity: float,
+    torque: float,
+    carried: float,
+    values: Sequence[float],
+) -> float:
+    return 0.5 * (values[0] + values[1])
+
+
+def _directional_bias(
+    position: float,
+    velocity: float,
+    torque: float,
+    carried: float,
+    values: Sequence[float],
+) -> float:
+    return 0.5 * (values[1] - values[0])
+
+
+# At rest and in motion the two torques are those of a friction with a constant torque
+# beside it, so that no recording tells one from the other, and none is searched.
+DIRECTIONAL_FRICTION = Effect(
+    name="directional_friction",
+    summary="Friction of one size in the positive direction, of another backwards.",
+    signature="Residuals of two sizes after reversals, by the direction of motion.",
+    confused_with=("coulomb_friction", "torque_bias"),
+    targets=joints,
+    parameters=_directional_friction_parameters,
+    friction=_directional_friction,
+    torque=_directional_bias,
+    at_fixtures=True,
+    candidate=False,
 )

@@ -21,6 +21,12 @@ def driven_joints(model: mujoco.MjModel) -> tuple[str, ...]:
     return tuple(name for name in joints(model) if name in driven)
 
 
+def driven_hinges(model: mujoco.MjModel) -> tuple[str, ...]:
+    """Return the names of the hinges that an actuator drives."""
+    hinge = mujoco.mjtJoint.mjJNT_HINGE
+    return tuple(n for n in driven_joints(model) if model.joint(n).type[0] == hinge)
+
+
 def servo_joints(model: mujoco.MjModel) -> tuple[str, ...]:
     """Return the joints whose actuator is commanded by a position."""
     names = [actuated_joint(model, a) for a in range(model.nu) if is_servo(model, a)]

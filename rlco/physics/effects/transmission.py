@@ -1,13 +1,21 @@
-"""Transmission between a motor and its link: play and compliance; springs at joints."""
+"""Transmission between a motor and its link: play, compliance, cogging; springs."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
 from numba import njit
 
 from rlco.physics.effects.effect import Array, Effect, Parameter, actuators_of, joint_of
-from rlco.physics.effects.targets import holding_torque, joints, servo_joints
+from rlco.physics.effects.targets import (
+    driven_hinges,
+    holding_torque,
+    joints,
+    servo_joints,
+)
 
 
 def _backlash_parameters(
@@ -136,4 +144,75 @@ JOINT_STIFFNESS = Effect(
     parameters=_joint_stiffness_parameters,
     on_spec=_joint_stiffness_on_spec,
     at_fixtures=True,
+)
+
+
+def _cogging_parameters(
+    model: mujoco.MjModel, target: str | None
+) -> tuple[Parameter, ...]:
+    torque = holding_torque(model, str(target))
+    return (
+        Parameter("amplitude", "N m", 0.0, 20.0 * torque, 0.0, (0.1 * torque,)),
+        # sin(n q) has n periods in a turn of q.
+        Parameter("count", "1/turn", 1.0, 1e3, 20.0, (20.0,), scales=False, step=1e-2),
+        Parameter("phase", "rad", -20.0, 20.0, 0.0, (1.0,)),
+    )
+
+
+def _cogging(
+    position: float,
+    velocity: float,
+    torque: float,
+    carried: float,
+    values: Sequence[float],
+) -> float:
+    return values[0] * math.sin(values[1] * position + values[2])
+
+
+COGGING = Effect(
+    name="cogging",
+    summary="A torque periodic in position: amplitude sin(count q + phase).",
+    signature=(
+        "A ripple at the same places of a joint's path in every pass, at any speed."
+    ),
+    confused_with=("torque_bias", "joint_stiffness", "coulomb_friction"),
+    targets=driven_hinges,
+    parameters=_cogging_parameters,
+    torque=_cogging,
+    shown_by=("positions",),
+    uncommon=True,
+)
+
+
+def _hardening_spring_parameters(
+    model: mujoco.MjModel, target: str | None
+) -> tuple[Parameter, ...]:
+    scale = holding_torque(model, str(target))
+    starts = (0.1 * scale, 0.5 * scale)
+    return (
+        Parameter("hardening", "N m/rad^3", 0.0, 5e3 * scale, 0.0, starts),
+        Parameter("rest", "rad", -3.0, 3.0, 0.0, (0.0,)),
+    )
+
+
+def _hardening_spring(
+    position: float,
+    velocity: float,
+    torque: float,
+    carried: float,
+    values: Sequence[float],
+) -> float:
+    return -values[0] * (position - values[1]) ** 3
+
+
+HARDENING_SPRING = Effect(
+    name="hardening_spring",
+    summary="A spring that hardens pulls a joint: -hardening (q - rest)^3.",
+    signature="Little around one angle, and a torque that grows fast away from it.",
+    confused_with=("joint_stiffness", "torque_bias", "payload"),
+    targets=driven_hinges,
+    parameters=_hardening_spring_parameters,
+    torque=_hardening_spring,
+    shown_by=("positions",),
+    uncommon=True,
 )

@@ -20,6 +20,7 @@ _NAMES = {
     *("encoder_scale", "joint_stiffness", "torque_bias", "backlash"),
     *("joint_compliance", "gravity_tilt", "control_rate", "drive_loss"),
     *("contact_friction", "contact_stiffness", "object_mass"),
+    *("cogging", "hardening_spring"),
 }
 _ARM = """
 <mujoco><compiler angle="radian"/><option timestep="0.002"/><worldbody>
@@ -53,7 +54,7 @@ def test_the_names_are_those_that_reports_use() -> None:
     assert {effect.name for effect in EFFECTS.values() if effect.candidate} == _NAMES
     of_tasks = {"scene_friction", "scene_mass", "fixture_friction"}
     calibrated = {"link_parameters", "torque_scale", "torque_offset"}
-    others = of_tasks | calibrated | {"controller_stiffness"}
+    others = of_tasks | calibrated | {"controller_stiffness", "directional_friction"}
     assert set(EFFECTS) == _NAMES | others
 
 

@@ -97,11 +97,16 @@ class ArmRollouts(Problem):
         ]
         self.layout = self._layout()
 
-    def candidates(self) -> list[Candidate]:
-        """Return each effect at each target that can move these joints."""
+    def candidates(self, *, uncommon: bool = False) -> list[Candidate]:
+        """Return each effect at each target that can move these joints.
+
+        Args:
+            uncommon: Of the effects that are tried only where the others leave
+                something.
+        """
         found = []
         driven = set(self.log.joints)
-        for effect in searched("positions"):
+        for effect in searched("positions", uncommon=uncommon):
             for target in effect.targets(self.model):
                 joint = target if target in _joint_names(self.model) else None
                 if joint is None or joint in driven:

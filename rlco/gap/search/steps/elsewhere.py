@@ -46,17 +46,33 @@ def elsewhere(state: State, additions: Additions) -> Generator[State, None, Stat
     state, starts = _starts(state)
     yield state
     for start in starts:
-        begun = _begun(state, start)
-        found = begun
-        for found in additions(begun):
-            # What was found elsewhere is kept aside until it is whole.
-            if found.setting is state.setting:
-                state = replace(state, scores=found.scores)
-            yield state
-        state = _better_of(state, found)
-        yield state
+        state = yield from held_against(state, start, additions)
         if not leaves_much(state):
             break
+    return state
+
+
+def held_against(
+    state: State, start: Scored, additions: Additions
+) -> Generator[State, None, State]:
+    """Yield the state after each step of one search begun elsewhere; return the last.
+
+    The best effects are others only where these do clearly better.
+
+    Args:
+        state: Of a search that has added and dropped its effects.
+        start: Where the other begins.
+        additions: How it goes on.
+    """
+    begun = _begun(state, start)
+    found = begun
+    for found in additions(begun):
+        # What was found elsewhere is kept aside until it is whole.
+        if found.setting is state.setting:
+            state = replace(state, scores=found.scores)
+        yield state
+    state = _better_of(state, found)
+    yield state
     return state
 
 

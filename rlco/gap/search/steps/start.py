@@ -86,6 +86,7 @@ def _setting(problem: Problem, spread: float, exclude: Collection[str]) -> Setti
         calm=in_noise(moved, prior, scale),
         blocks=blocks,
         series=blocks * len(layout.channels) + layout.channel[order],
+        excluded=frozenset(exclude),
     )
 
 
