@@ -46,7 +46,15 @@ EFFECTS = {
     "contact_friction": effect("contact_friction", friction=0.2),
     "contact_stiffness": effect("contact_stiffness", time_constant=0.05),
     "object_mass": effect("object_mass", "red_cube", factor=4.0),
-    "cogging": effect("cogging", "joint2", amplitude=6.0, count=40.0, phase=0.3),
+    "cogging": effect(
+        "cogging",
+        "joint2",
+        amplitude=6.0,
+        count=40.0,
+        phase=0.3,
+        second_sine=2.0,
+        second_cosine=-1.0,
+    ),
     "hardening_spring": effect("hardening_spring", "joint4", hardening=9.0, rest=-1.5),
 }
 SERVO_ONLY = {

@@ -13,6 +13,7 @@ from rlco.gap.compare.stability.instability import UnstableModelError, unstable_
 from rlco.gap.search.judge import LARGEST
 from rlco.gap.search.servo.find_servo_gap import find_servo_gap
 from rlco.gap.search.state import State
+from rlco.gap.search.steps.carried import carried
 from rlco.gap.search.steps.closing import intervals, residual
 from rlco.gap.search.steps.drop import drop, drop_unobservable
 from rlco.gap.search.steps.elsewhere import elsewhere
@@ -90,6 +91,8 @@ def search(first: State, on_step: Progress | None = None) -> tuple[State, bool]:
 def states(state: State) -> Iterator[State]:
     """Yield the state after each step of a search, until it ends."""
     state = yield from additions(state)
+    state = carried(state)
+    yield state
     state = yield from uncommon(state, additions)
     state = yield from elsewhere(state, additions)
     steps = (exact_model, rivals, intervals, plain_shares, residual, free_form)

@@ -141,6 +141,8 @@ def guesses(
             "amplitude": float(np.hypot(sine, cosine)),
             "count": count,
             "phase": float(np.arctan2(cosine, sine)),
+            "second_sine": 0.0,  # a fit finds these: they are linear
+            "second_cosine": 0.0,
         }
         found.append(Guess(AppliedEffect(COGGING.name, joint, values), gain))
     bends = [np.stack([place**2, place**3])[None] for place in path.position]

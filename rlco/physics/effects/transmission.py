@@ -151,11 +151,14 @@ def _cogging_parameters(
     model: mujoco.MjModel, target: str | None
 ) -> tuple[Parameter, ...]:
     torque = holding_torque(model, str(target))
+    second = -20.0 * torque, 20.0 * torque, 0.0, (0.05 * torque,)
     return (
         Parameter("amplitude", "N m", 0.0, 20.0 * torque, 0.0, (0.1 * torque,)),
         # sin(n q) has n periods in a turn of q.
         Parameter("count", "1/turn", 1.0, 1e3, 20.0, (20.0,), scales=False, step=1e-2),
         Parameter("phase", "rad", -20.0, 20.0, 0.0, (1.0,)),
+        Parameter("second_sine", "N m", *second),
+        Parameter("second_cosine", "N m", *second),
     )
 
 
@@ -166,12 +169,14 @@ def _cogging(
     carried: float,
     values: Sequence[float],
 ) -> float:
-    return values[0] * math.sin(values[1] * position + values[2])
+    turn = values[1] * position + values[2]
+    second = values[3] * math.sin(2.0 * turn) + values[4] * math.cos(2.0 * turn)
+    return values[0] * math.sin(turn) + second
 
 
 COGGING = Effect(
     name="cogging",
-    summary="A torque periodic in position: amplitude sin(count q + phase).",
+    summary="A torque periodic in position, count q + phase, and in twice of that.",
     signature=(
         "A ripple at the same places of a joint's path in every pass, at any speed."
     ),

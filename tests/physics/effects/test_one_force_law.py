@@ -33,7 +33,17 @@ STEP_EFFECTS = [
     AppliedEffect("stribeck_friction", "joint2", {"static": 9.0, "speed": 0.2}),
     AppliedEffect("load_friction", "joint4", {"ratio": 0.1}),
     AppliedEffect("drive_loss", "joint2", {"loss": 0.02}),
-    AppliedEffect("cogging", "joint4", {"amplitude": 3.0, "count": 40.0, "phase": 1.0}),
+    AppliedEffect(
+        "cogging",
+        "joint4",
+        {
+            "amplitude": 3.0,
+            "count": 40.0,
+            "phase": 1.0,
+            "second_sine": 1.0,
+            "second_cosine": -0.5,
+        },
+    ),
     AppliedEffect("hardening_spring", "joint6", {"hardening": 2.0, "rest": 1.0}),
     AppliedEffect("directional_friction", "joint1", {"forward": 5.0, "backward": 2.0}),
 ]

@@ -64,14 +64,14 @@ def held_against(
         start: Where the other begins.
         additions: How it goes on.
     """
-    begun = _begun(state, start)
+    begun = begun_with(state, start)
     found = begun
     for found in additions(begun):
         # What was found elsewhere is kept aside until it is whole.
         if found.setting is state.setting:
             state = replace(state, scores=found.scores)
         yield state
-    state = _better_of(state, found)
+    state = better_of(state, found)
     yield state
     return state
 
@@ -108,7 +108,7 @@ def _starts(state: State) -> tuple[State, list[Scored]]:
     return state, starts[:STARTS]
 
 
-def _begun(state: State, start: Scored) -> State:
+def begun_with(state: State, start: Scored) -> State:
     """Return a state whose search begins with some effects."""
     begun = replace(
         state, best=start, screenings=(), round=None, ended=False, sensitivity=1.0
@@ -116,7 +116,7 @@ def _begun(state: State, start: Scored) -> State:
     return begun.noted(effects=start.effects, elsewhere=True)
 
 
-def _better_of(state: State, found: State) -> State:
+def better_of(state: State, found: State) -> State:
     """Return the state with the better best effects of the two."""
     setting, best, other = state.setting, state.best, found.best
     if found.setting is not setting:  # whitened otherwise

@@ -9,7 +9,7 @@ uncommon one does.
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator
+from collections.abc import Generator
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +22,12 @@ from rlco.gap.search.position_torques import Guess, guesses, path_of
 from rlco.gap.search.setting import Scored
 from rlco.gap.search.state import State
 from rlco.gap.search.steps.drop import drop
-from rlco.gap.search.steps.elsewhere import Additions, held_against
+from rlco.gap.search.steps.elsewhere import (
+    Additions,
+    begun_with,
+    better_of,
+    held_against,
+)
 from rlco.physics.effects import EFFECTS, AppliedEffect
 
 GAIN = 0.1  # share of the held-out error that an uncommon effect must remove
@@ -58,7 +63,11 @@ def uncommon(state: State, additions: Additions) -> Generator[State, None, State
     ]
     first = state.best
     for start in likely[:STARTS]:
-        tried = yield from held_against(tried, start, _dropping(additions))
+        # What it explains by itself stays, should the search from it lead astray.
+        alone = drop(begun_with(tried, start))
+        tried = better_of(replace(tried, scores=alone.scores), alone)
+        yield tried
+        tried = yield from held_against(tried, alone.best, additions)
     if tried.best is first or not _is_worth_it(state, tried.best):
         return state
     yield tried
@@ -126,17 +135,6 @@ def _starts(state: State, best: list[Guess]) -> list[tuple[AppliedEffect, ...]]:
             if len(start) <= LARGEST:
                 starts.setdefault(frozenset(candidates_of(start)), start)
     return list(starts.values())
-
-
-def _dropping(additions: Additions) -> Additions:
-    """Return the same additions after what a first effect replaces was dropped."""
-
-    def go_on(state: State) -> Iterator[State]:
-        state = drop(state)
-        yield state
-        yield from additions(state)
-
-    return go_on
 
 
 def _is_worth_it(state: State, one: Scored) -> bool:
