@@ -47,6 +47,7 @@ LESS: dict[str, dict[str, object]] = {
     },
     "find_gap": {"film": "false"},
     "compare": {"hours": 0},
+    "compare_results": {},
     "record_logs": {"recordings": 2, "seconds": 4.0},
     "close_loop": {
         **{"seeds": "[0]", "recordings": 2, "seconds": 4.0, "demos": 2},
@@ -73,6 +74,7 @@ RUN_BY = {
         ),
         "recipes/test_rl_co_launch.py",
     ),
+    "compare_results.py a=outputs/A b=outputs/B": "recipes/test_compare_results.py",
     "find_gap.py model=arm.xml reference=before data=after": "gap/test_reference.py",
     "find_gap.py model=arm.xml data=logs calibrate=usual": "gap/test_reference.py",
     "find_gap.py model=hobby_arm/arm.xml data=hobby_arm/recordings angles=degrees "

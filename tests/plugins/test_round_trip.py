@@ -23,6 +23,7 @@ from vla_files import record, tiny_with_statistics
 from rlco.physics.tasks.gymnasium_env import TaskEnv
 from rlco.physics.tasks.make_task import make_task
 from rlco.policies import make_policy, save_policy, task_sizes
+from rlco.reporting.paired_results import read_evaluation
 from rlco.run import run_recipe
 
 pytestmark = pytest.mark.slow
@@ -118,6 +119,11 @@ def test_stock_lerobot_eval_runs_it(
     told = json.loads((tmp_path / "eval_info.json").read_text())
     assert told["overall"]["n_episodes"] == 2
     assert len(told["overall"]["video_paths"]) == 2
+    # Its file compares with itself, and its episodes are counted.
+    (row,) = read_evaluation(tmp_path).rows
+    (task,) = told["per_task"]
+    assert row["outcomes"] == [int(x) for x in task["metrics"]["successes"]]
+    assert row["episodes"] == 2
 
 
 def test_stock_lerobot_eval_runs_a_small_policy(

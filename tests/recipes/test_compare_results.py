@@ -1,0 +1,63 @@
+"""The recipe that compares two evaluations prints a table, and writes its numbers."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from recipe_cases import refused, start
+
+
+def _evaluation(folder: Path, method: str, outcomes: list[int]) -> Path:
+    folder.mkdir()
+    row = {
+        "method": method,
+        "task": "push_cube",
+        "policy": "gaussian",
+        "domain": "sim",
+        "variation": None,
+        "seed": 0,
+        "episodes": len(outcomes),
+        "successes": sum(outcomes),
+        "outcomes": outcomes,
+    }
+    (folder / "results.json").write_text(json.dumps({"rows": [row]}))
+    return folder
+
+
+def test_two_evaluations_are_compared(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    a = _evaluation(tmp_path / "a", "rl_co", [1] * 8)
+    b = _evaluation(tmp_path / "b", "sft", [0] * 8)
+    out = tmp_path / "numbers.json"
+    start("compare_results", f"a={a}", f"b={b}", f"out={out}")
+    shown = capsys.readouterr()
+    assert "| push_cube, sim | 100.0% | 0.0% | +100.0 [" in shown.out
+    assert "| 8 | 0 | 0.0078 | 8 | 1 |" in shown.out
+    assert "for these two policies, not for two methods" in shown.err
+    (row,) = json.loads(out.read_text())["rows"]
+    assert row["p_value"] == pytest.approx(2 / 2**8)
+    assert row["difference"][0] == 1.0
+    words = refused(capsys, "compare_results", f"a={a}", f"b={b}", f"out={out}")
+    assert "numbers.json exists; give a new file" in words
+
+
+def test_the_same_name_is_told_apart(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    a = _evaluation(tmp_path / "a", "sft", [1, 0])
+    b = _evaluation(tmp_path / "b", "sft", [1, 1])
+    start("compare_results", f"a={a}", f"b={b}")
+    assert "| place | sft (a) | sft (b) |" in capsys.readouterr().out
+
+
+def test_what_is_no_evaluation_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    a = _evaluation(tmp_path / "a", "sft", [1, 0])
+    words = refused(capsys, "compare_results", f"a={a}", f"b={tmp_path}")
+    assert "holds neither results.json nor eval_info.json" in words
+    words = refused(capsys, "compare_results", f"a={a}", f"b={a}", "method_b=rl_co")
+    assert "has no method 'rl_co'; give method_b= one of sft" in words
