@@ -28,7 +28,7 @@ DOCS = ROOT / "docs"
 BENCHMARKS = ROOT / "benchmarks"
 #: Where the cells of an experiment are, if not in a folder of its name.
 ON_PUSH_CUBE = ("alignment", "two_by_two", "length", "methods", "adapted")
-CELLS = {**dict.fromkeys(ON_PUSH_CUBE, "push_cube"), "planar_adapted": "planar"}
+CELLS = dict.fromkeys(ON_PUSH_CUBE, "push_cube")
 MARKED = re.compile(
     r"(<!-- results (\w+)(?:: ([^>]+))? -->\n).*?(<!-- end -->)", re.DOTALL
 )
