@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 from rlco.physics.mj.compiling import inner
 from rlco.physics.rendering.raster_places import CUT, LEVEL, look, place
 from rlco.physics.rendering.raster_scene import (
-    HALF,
     ID,
     SKY,
     STILL,
@@ -75,7 +74,6 @@ class Scratch(NamedTuple):
     shown: NDArray[np.int32]  # triangle and geom, of the same two (2, 2, h, w)
     lens: NDArray[np.float32]  # focal lengths, centre [pixels], world from camera (13,)
     lights: NDArray[np.float32]  # see `raster_shading.shade`
-    triangle: NDArray[np.float32]  # corners of one (3, 3)
     pixel: NDArray[np.float32]  # working space of one pixel
 
 
@@ -95,7 +93,6 @@ def _scratch(
         np.empty((2, 2, height, width), np.int32),
         np.empty(13, np.float32),
         np.empty((lights, LIGHT_SIZE + 6), np.float32),
-        np.empty((3, 3), np.float32),
         np.empty((WORK_ROWS, 6), np.float32),
     )
 
@@ -174,25 +171,23 @@ def _colour(
             v[RAY, 1] = (np.float32(y) + _HALF - lens[3]) / lens[1]
             v[RAY, 2] = _ONE
             if k < 0:
-                sky(scene.textures, scene.numbers[SKY], lens[4:], v)
+                sky(scene.textures, scene.numbers[SKY], lens, v)
             else:
                 g = shown[GEOM, y, x]
-                start = scene.levels[s.placed[g, LEVEL], 0]
-                for corner in range(3):
-                    for axis in range(3):
-                        s.triangle[corner, axis] = scene.points[
-                            axis, start + scene.faces[k, corner]
-                        ]
-                at = geoms_at + GEOM_SIZE * g
                 shade(
-                    s.row[at : at + GEOM_SIZE],
+                    s.row,
+                    geoms_at + GEOM_SIZE * g,
                     s.lights,
-                    s.triangle,
-                    scene.normals[k],
-                    scene.bounds[g, HALF:],
+                    scene.points,
+                    scene.levels[s.placed[g, LEVEL], 0],
+                    scene.faces,
+                    scene.normals,
+                    k,
+                    scene.bounds,
+                    s.matrix,
+                    g,
                     scene.geoms[g, UNWRAPPED] != 0,
                     scene.textures,
-                    s.matrix[g],
                     lens,
                     _ONE / depth[y, x],
                     v,

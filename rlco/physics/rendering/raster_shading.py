@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from rlco.physics.mj.compiling import inner
+from rlco.physics.rendering.raster_scene import HALF
 from rlco.physics.rendering.raster_state import (
     AMBIENT,
     ATTENUATION,
@@ -56,30 +57,40 @@ def _power(base: Any, exponent: Any) -> Any:
     return result
 
 
+# A view of an array costs two atomic operations, and shading would need dozens of them
+# per pixel: so rows of the working space are given by their numbers.
+
+
 @inner
-def _unit(vector: Any) -> None:
-    """Scale a vector (3,) to length 1."""
-    square = vector[0] * vector[0] + vector[1] * vector[1] + vector[2] * vector[2]
+def _unit(v: Any, r: int) -> None:
+    """Scale a row of the working space to length 1."""
+    square = v[r, 0] * v[r, 0] + v[r, 1] * v[r, 1] + v[r, 2] * v[r, 2]
     scale = _ONE / np.sqrt(square + _TINY)
     for axis in range(3):
-        vector[axis] *= scale
+        v[r, axis] *= scale
 
 
 @inner
-def _dot(a: Any, b: Any) -> Any:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+def _dot(v: Any, a: int, b: int) -> Any:
+    """Return the product of two rows of the working space."""
+    return v[a, 0] * v[b, 0] + v[a, 1] * v[b, 1] + v[a, 2] * v[b, 2]
 
 
 @inner
 def shade(
     row: Any,
+    at: int,
     lights: Any,
-    triangle: Any,
+    points: Any,
+    first: Any,
+    faces: Any,
     normals: Any,
-    half: Any,
+    k: int,
+    bounds: Any,
+    matrix: Any,
+    g: int,
     unwrapped: bool,
     textures: Any,
-    matrix: Any,
     lens: Any,
     depth: Any,
     v: Any,
@@ -87,140 +98,146 @@ def shade(
     """Write the colour of one pixel to `v[COLOUR]`, shares of 1.
 
     Args:
-        row: The geom's numbers, see `raster_state`.
+        row: The world's numbers, see `raster_state`.
+        at: Where the geom's begin.
         lights: The lights' numbers and, in the camera's frame, their directions and
             positions: (lights, LIGHT_SIZE + 6).
-        triangle: Corners of the triangle in the geom's frame, (3, 3) [m].
-        normals: Their normals, (9,).
-        half: Half sizes that textures are stretched to, (3,) [m].
+        points: Vertices in the frames of their geoms, (3, V) [m].
+        first: The first vertex of the geom's level of detail.
+        faces: Corners of triangles, counted from there, (T, 3).
+        normals: Of triangles' corners, (T, 9).
+        k: The triangle.
+        bounds: `raster_scene.Scene.bounds`.
+        matrix: From each geom's frame to the camera's, (G, 12).
+        g: The geom.
         unwrapped: Whether the geom has texture coordinates of its own.
         textures: `raster_textures.Textures`.
-        matrix: From the geom's frame to the camera's, (12,).
         lens: Focal lengths and centre [pixels], (4,).
         depth: How far it is along the camera's axis [m].
         v: Working space, whose `v[RAY]` is the pixel's ray, of depth 1.
     """
-    point, view, local = v[_POINT], v[_VIEW], v[_LOCAL]
-    normal, colour, plane = v[_NORMAL], v[COLOUR], v[_PLANE]
     for axis in range(3):
-        point[axis] = v[RAY, axis] * depth
-        view[axis] = -v[RAY, axis]
-    _unit(view)
+        v[_POINT, axis] = v[RAY, axis] * depth
+        v[_VIEW, axis] = -v[RAY, axis]
+    _unit(v, _VIEW)
     for axis in range(3):
-        local[axis] = (
-            matrix[axis] * (point[0] - matrix[3])
-            + matrix[4 + axis] * (point[1] - matrix[7])
-            + matrix[8 + axis] * (point[2] - matrix[11])
+        v[_LOCAL, axis] = (
+            matrix[g, axis] * (v[_POINT, 0] - matrix[g, 3])
+            + matrix[g, 4 + axis] * (v[_POINT, 1] - matrix[g, 7])
+            + matrix[g, 8 + axis] * (v[_POINT, 2] - matrix[g, 11])
         )
     # The shares of the triangle's corners there.
-    ax, ay, az = triangle[0, 0], triangle[0, 1], triangle[0, 2]
-    ux, uy, uz = triangle[1, 0] - ax, triangle[1, 1] - ay, triangle[1, 2] - az
-    wx, wy, wz = triangle[2, 0] - ax, triangle[2, 1] - ay, triangle[2, 2] - az
-    plane[0] = uy * wz - uz * wy
-    plane[1] = uz * wx - ux * wz
-    plane[2] = ux * wy - uy * wx
-    px, py, pz = local[0] - ax, local[1] - ay, local[2] - az
-    square = max(_dot(plane, plane), _TINY)
+    i, j, n = first + faces[k, 0], first + faces[k, 1], first + faces[k, 2]
+    ax, ay, az = points[0, i], points[1, i], points[2, i]
+    ux, uy, uz = points[0, j] - ax, points[1, j] - ay, points[2, j] - az
+    wx, wy, wz = points[0, n] - ax, points[1, n] - ay, points[2, n] - az
+    v[_PLANE, 0] = uy * wz - uz * wy
+    v[_PLANE, 1] = uz * wx - ux * wz
+    v[_PLANE, 2] = ux * wy - uy * wx
+    px, py, pz = v[_LOCAL, 0] - ax, v[_LOCAL, 1] - ay, v[_LOCAL, 2] - az
+    square = max(_dot(v, _PLANE, _PLANE), _TINY)
     second = (
-        (py * wz - pz * wy) * plane[0]
-        + (pz * wx - px * wz) * plane[1]
-        + (px * wy - py * wx) * plane[2]
+        (py * wz - pz * wy) * v[_PLANE, 0]
+        + (pz * wx - px * wz) * v[_PLANE, 1]
+        + (px * wy - py * wx) * v[_PLANE, 2]
     ) / square
     third = (
-        (uy * pz - uz * py) * plane[0]
-        + (uz * px - ux * pz) * plane[1]
-        + (ux * py - uy * px) * plane[2]
+        (uy * pz - uz * py) * v[_PLANE, 0]
+        + (uz * px - ux * pz) * v[_PLANE, 1]
+        + (ux * py - uy * px) * v[_PLANE, 2]
     ) / square
     second = min(max(second, _ZERO), _ONE)
     third = min(max(third, _ZERO), _ONE - second)
-    first = _ONE - second - third
-    nx = first * normals[0] + second * normals[3] + third * normals[6]
-    ny = first * normals[1] + second * normals[4] + third * normals[7]
-    nz = first * normals[2] + second * normals[5] + third * normals[8]
+    rest = _ONE - second - third
+    nx = rest * normals[k, 0] + second * normals[k, 3] + third * normals[k, 6]
+    ny = rest * normals[k, 1] + second * normals[k, 4] + third * normals[k, 7]
+    nz = rest * normals[k, 2] + second * normals[k, 5] + third * normals[k, 8]
     for axis in range(3):
-        normal[axis] = (
-            matrix[4 * axis] * nx
-            + matrix[4 * axis + 1] * ny
-            + matrix[4 * axis + 2] * nz
+        v[_NORMAL, axis] = (
+            matrix[g, 4 * axis] * nx
+            + matrix[g, 4 * axis + 1] * ny
+            + matrix[g, 4 * axis + 2] * nz
         )
-    _unit(normal)
-    _lit(row, lights, v)
-    texture: Any = np.int64(row[TEXTURE])
+    _unit(v, _NORMAL)
+    _lit(row, at, lights, v)
+    texture: Any = np.int64(row[at + TEXTURE])
     if texture < 0:
         return
-    texel = v[_TEXEL]
     if unwrapped:
         for c in range(3):
-            texel[c] = textures.means[texture, c]
+            v[_TEXEL, c] = textures.means[texture, c]
     else:
-        height = plane[0] * ax + plane[1] * ay + plane[2] * az
-        _textured(row, textures, texture, half, height, matrix, lens, v)
+        height = v[_PLANE, 0] * ax + v[_PLANE, 1] * ay + v[_PLANE, 2] * az
+        _textured(row, at, textures, texture, bounds, height, matrix, g, lens, v)
     for c in range(3):
-        colour[c] *= texel[c]
+        v[COLOUR, c] *= v[_TEXEL, c]
 
 
 @inner
-def _lit(row: Any, lights: Any, v: Any) -> None:
+def _lit(row: Any, at: int, lights: Any, v: Any) -> None:
     """Write the colour of a point under all lights, without a texture."""
-    point, view, normal = v[_POINT], v[_VIEW], v[_NORMAL]
-    colour, work = v[COLOUR], v[_LIGHT]
-    shine = np.float32(128.0) * np.float32(row[MATERIAL + 2])
+    shine = np.float32(128.0) * np.float32(row[at + MATERIAL + 2])
     dark = True
     for c in range(3):
-        colour[c] = np.float32(row[MATERIAL] * row[RGBA + c])
+        v[COLOUR, c] = np.float32(row[at + MATERIAL] * row[at + RGBA + c])
     for number in range(lights.shape[0]):
-        light = lights[number]
-        if light[LIGHT_ON] == _ZERO:
+        if lights[number, LIGHT_ON] == _ZERO:
             continue
         dark = False
-        toward, place = light[LIGHT_SIZE : LIGHT_SIZE + 3], light[LIGHT_SIZE + 3 :]
         strength = _ONE
         for axis in range(3):
-            work[axis] = -toward[axis]
-        if light[LIGHT_PLACED] != _ZERO:
+            v[_LIGHT, axis] = -lights[number, LIGHT_SIZE + axis]
+        if lights[number, LIGHT_PLACED] != _ZERO:
             for axis in range(3):
-                work[axis] = place[axis] - point[axis]
-            square = _dot(work, work)
-            _unit(work)
-            facing = -_dot(work, toward)
-            if facing < light[CUTOFF]:
+                place = lights[number, LIGHT_SIZE + 3 + axis]
+                v[_LIGHT, axis] = place - v[_POINT, axis]
+            square = _dot(v, _LIGHT, _LIGHT)
+            _unit(v, _LIGHT)
+            facing = -(
+                v[_LIGHT, 0] * lights[number, LIGHT_SIZE]
+                + v[_LIGHT, 1] * lights[number, LIGHT_SIZE + 1]
+                + v[_LIGHT, 2] * lights[number, LIGHT_SIZE + 2]
+            )
+            if facing < lights[number, CUTOFF]:
                 continue
-            if light[CUTOFF] > np.float32(-1.5):
-                strength = _power(max(facing, _ZERO), light[EXPONENT])
+            if lights[number, CUTOFF] > np.float32(-1.5):
+                strength = _power(max(facing, _ZERO), lights[number, EXPONENT])
             strength /= max(
-                light[ATTENUATION]
-                + light[ATTENUATION + 1] * np.sqrt(square)
-                + light[ATTENUATION + 2] * square,
+                lights[number, ATTENUATION]
+                + lights[number, ATTENUATION + 1] * np.sqrt(square)
+                + lights[number, ATTENUATION + 2] * square,
                 np.float32(1e-6),
             )
-        diffuse, specular = _dot(work, normal), _ZERO
+        diffuse, specular = _dot(v, _LIGHT, _NORMAL), _ZERO
         if diffuse > _ZERO:
             for axis in range(3):
-                work[axis] += view[axis]
-            _unit(work)
-            specular = _power(max(_dot(work, normal), _ZERO), shine)
-            specular *= np.float32(row[MATERIAL + 1])
+                v[_LIGHT, axis] += v[_VIEW, axis]
+            _unit(v, _LIGHT)
+            specular = _power(max(_dot(v, _LIGHT, _NORMAL), _ZERO), shine)
+            specular *= np.float32(row[at + MATERIAL + 1])
         diffuse = max(diffuse, _ZERO)
         for c in range(3):
-            colour[c] += strength * (
-                np.float32(row[RGBA + c])
-                * (light[AMBIENT + c] + diffuse * light[DIFFUSE + c])
-                + specular * light[SPECULAR + c]
+            v[COLOUR, c] += strength * (
+                np.float32(row[at + RGBA + c])
+                * (lights[number, AMBIENT + c] + diffuse * lights[number, DIFFUSE + c])
+                + specular * lights[number, SPECULAR + c]
             )
     for c in range(3):
         if dark:  # MuJoCo's light where there is none
-            colour[c] += np.float32(0.3) * np.float32(row[RGBA + c])
-        colour[c] = min(max(colour[c], _ZERO), _ONE)
+            v[COLOUR, c] += np.float32(0.3) * np.float32(row[at + RGBA + c])
+        v[COLOUR, c] = min(max(v[COLOUR, c], _ZERO), _ONE)
 
 
 @inner
 def _textured(
     row: Any,
+    at: int,
     textures: Any,
     texture: int,
-    half: Any,
+    bounds: Any,
     height: Any,
     matrix: Any,
+    g: int,
     lens: Any,
     v: Any,
 ) -> None:
@@ -228,41 +245,42 @@ def _textured(
 
     `height` is where the triangle's plane is along its normal, as `v[_PLANE]` has it.
     """
-    plane, eye, near, local = v[_PLANE], v[_EYE], v[_NEAR], v[_LOCAL]
-    table = textures.table[texture]
-    flat = table[0] == FLAT
+    flat = textures.table[texture, 0] == FLAT
     for axis in range(3):  # the camera's position in the geom's frame
-        eye[axis] = -(
-            matrix[axis] * matrix[3]
-            + matrix[4 + axis] * matrix[7]
-            + matrix[8 + axis] * matrix[11]
+        v[_EYE, axis] = -(
+            matrix[g, axis] * matrix[g, 3]
+            + matrix[g, 4 + axis] * matrix[g, 7]
+            + matrix[g, 8 + axis] * matrix[g, 11]
         )
     face, u0, v0 = 0, _ZERO, _ZERO
     long_u, long_v, longer, shorter = _ZERO, _ZERO, _ZERO, _ZERO
-    distance = height - _dot(plane, eye)
+    distance = height - _dot(v, _PLANE, _EYE)
     # The pixel itself, then where the rays of its neighbours meet the same plane.
     for step in range(3):
         if step == 0:
-            x, y, z = local[0], local[1], local[2]
+            x, y, z = v[_LOCAL, 0], v[_LOCAL, 1], v[_LOCAL, 2]
         else:
             across = v[RAY, 0] + (_ONE / lens[0] if step == 1 else _ZERO)
             down = v[RAY, 1] + (_ONE / lens[1] if step == 2 else _ZERO)
             for axis in range(3):
-                near[axis] = (
-                    matrix[axis] * across + matrix[4 + axis] * down + matrix[8 + axis]
+                v[_NEAR, axis] = (
+                    matrix[g, axis] * across
+                    + matrix[g, 4 + axis] * down
+                    + matrix[g, 8 + axis]
                 )
-            slope = _dot(plane, near)
+            slope = _dot(v, _PLANE, _NEAR)
             if abs(slope) < _TINY:
                 continue
             scale = distance / slope
-            x = eye[0] + near[0] * scale
-            y = eye[1] + near[1] * scale
-            z = eye[2] + near[2] * scale
-        if row[UNIFORM] == 0.0:
-            x, y, z = x / half[0], y / half[1], z / half[2]
+            x = v[_EYE, 0] + v[_NEAR, 0] * scale
+            y = v[_EYE, 1] + v[_NEAR, 1] * scale
+            z = v[_EYE, 2] + v[_NEAR, 2] * scale
+        if row[at + UNIFORM] == 0.0:
+            x, y = x / bounds[g, HALF], y / bounds[g, HALF + 1]
+            z = z / bounds[g, HALF + 2]
         if flat:
-            u1 = _HALF * np.float32(row[REPEAT]) * x - _HALF
-            v1 = -_HALF * np.float32(row[REPEAT + 1]) * y - _HALF
+            u1 = _HALF * np.float32(row[at + REPEAT]) * x - _HALF
+            v1 = -_HALF * np.float32(row[at + REPEAT + 1]) * y - _HALF
         else:
             if step == 0:
                 face = cube_face(x, y, z)
@@ -278,40 +296,40 @@ def _textured(
     # A pixel covers a long strip of a slanting surface: several places along it.
     count = np.int64(min(longer / max(shorter, _TINY) + _HALF, _MOST)) or 1
     reach = max(shorter, longer / np.float32(count))
-    total, texel = v[_SUM], v[_TEXEL]
-    total[0], total[1], total[2] = _ZERO, _ZERO, _ZERO
+    v[_SUM, 0], v[_SUM, 1], v[_SUM, 2] = _ZERO, _ZERO, _ZERO
     for i in range(count):
         part = (np.float32(i) + _HALF) / np.float32(count) - _HALF
         across, down = u0 + part * long_u, v0 + part * long_v
-        sample(
-            textures.texels, textures.levels, table, face, across, down, reach, texel
-        )
+        sample(textures, texture, face, across, down, reach, v, _TEXEL)
         for c in range(3):
-            total[c] += texel[c] / np.float32(count)
+            v[_SUM, c] += v[_TEXEL, c] / np.float32(count)
     for c in range(3):
-        texel[c] = total[c]
+        v[_TEXEL, c] = v[_SUM, c]
 
 
 @inner
-def sky(textures: Any, texture: int, turn: Any, v: Any) -> None:
+def sky(textures: Any, texture: int, lens: Any, v: Any) -> None:
     """Write the sky's colour where a pixel looks to `v[COLOUR]`: black without one.
 
     Args:
         textures: `raster_textures.Textures`.
         texture: Which of them it is, or -1.
-        turn: Rotation from the camera's frame (right, down, forward) to the world's,
-            (9,).
+        lens: See `raster_frames.Scratch`; from its fifth number on, the rotation from
+            the camera's frame (right, down, forward) to the world's.
         v: Working space, whose `v[RAY]` is the pixel's ray.
     """
     if texture < 0:
         v[COLOUR, 0] = v[COLOUR, 1] = v[COLOUR, 2] = _ZERO
         return
-    at = v[_NEAR]
     for axis in range(3):
-        at[axis] = _dot(turn[3 * axis : 3 * axis + 3], v[RAY])
+        turn = 4 + 3 * axis
+        v[_NEAR, axis] = (
+            lens[turn] * v[RAY, 0]
+            + lens[turn + 1] * v[RAY, 1]
+            + lens[turn + 2] * v[RAY, 2]
+        )
     # The sky's cube is turned by a quarter about x.
-    x, y, z = at[0], at[2], -at[1]
+    x, y, z = v[_NEAR, 0], v[_NEAR, 2], -v[_NEAR, 1]
     face = cube_face(x, y, z)
     u, w = on_cube(face, x, y, z)
-    table = textures.table[texture]
-    sample(textures.texels, textures.levels, table, face, u, w, _ZERO, v[COLOUR])
+    sample(textures, texture, face, u, w, _ZERO, v, COLOUR)

@@ -105,30 +105,31 @@ def _halved(images: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
 
 @inner
 def sample(
-    texels: Any,
-    levels: Any,
-    texture: Any,
+    textures: Any,
+    texture: int,
     face: int,
     u: Any,
     v: Any,
     reach: Any,
     out: Any,
+    to: int,
 ) -> None:
     """Write a texture's colour at a place, averaged over what a pixel covers.
 
     Args:
-        texels: See `Textures`.
-        levels: See `Textures`.
-        texture: The texture's row of the table, (4,).
+        textures: `Textures`.
+        texture: Which of them.
         face: Which of a cube's faces.
         u: Place across the image, one image wide.
         v: The same downwards.
         reach: What a pixel covers, as a share of the image.
-        out: Written: the colour, shares of 1, (3,).
+        out: Written: the colour, shares of 1, to a row of it.
+        to: The row.
     """
-    level, last = texture[2], texture[3] - 1
-    wraps = texture[0] == FLAT
-    if texture[1] == 1:
+    texels, levels, table = textures.texels, textures.levels, textures.table
+    level, last = table[texture, 2], table[texture, 3] - 1
+    wraps = table[texture, 0] == FLAT
+    if table[texture, 1] == 1:
         face = 0
     covered = reach * np.float32(max(levels[level, 1], levels[level, 2]))
     while covered >= np.float32(2.0) and level < last:
@@ -138,7 +139,7 @@ def sample(
     blend = min(max(covered - _ONE, np.float32(0.0)), _ONE) if level < last else _ZERO
     if not abs(u) + abs(v) < np.float32(1e6):  # of a triangle without an area
         u, v = _HALF, _HALF
-    out[0], out[1], out[2] = _ZERO, _ZERO, _ZERO
+    out[to, 0], out[to, 1], out[to, 2] = _ZERO, _ZERO, _ZERO
     for finer in range(2):
         part = blend if finer else _ONE - blend
         if part <= _ZERO:
@@ -160,9 +161,9 @@ def sample(
                     i, j = min(max(i, 0), height - 1), min(max(j, 0), width - 1)
                 at = start + 3 * ((face * height + i) * width + j)
                 for c in range(3):
-                    out[c] += share * np.float32(texels[at + c])
+                    out[to, c] += share * np.float32(texels[at + c])
     for c in range(3):
-        out[c] /= np.float32(255.0)
+        out[to, c] /= np.float32(255.0)
 
 
 @inner
