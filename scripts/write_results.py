@@ -82,6 +82,7 @@ def write_page(name: str, experiment: Path, cells: Path) -> str:
     page.write_text(text + "\n".join(figures), "utf-8")
     print(f"docs/tables/{name}.md: written")
     overview, *sections = tables.split("\n## ")
+    overview = re.sub(r"\A## .*\n+", "", overview)  # of the only group
     predicted = [one for one in sections if one.startswith("Predictions\n")]
     return "\n\n".join(
         part.removeprefix("Predictions\n").strip() for part in (overview, *predicted)
