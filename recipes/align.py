@@ -22,7 +22,7 @@ from rlco.training.options.stage_one_options import StageOneOptions
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from rlco.reporting.alignment_page import Alignment
+    from rlco.reporting.alignment.page import Alignment
     from rlco.training.alignment import Explained
 
 log = logging.getLogger("rlco.align")
@@ -72,7 +72,7 @@ class Fold(NamedTuple):
 
 def main(config: Config) -> None:
     """Train on each part, test on what was held out, and write one page."""
-    from rlco.reporting.alignment_page import write_alignment
+    from rlco.reporting.alignment.page import write_alignment
 
     check(config)
     folds = split(config)
@@ -163,7 +163,7 @@ def measure(config: Config, run: Run, folds: Sequence[Fold]) -> Alignment:
     """Train every policy, and test it on what it has not seen."""
     from statistics import fmean
 
-    from rlco.reporting.alignment_page import Alignment
+    from rlco.reporting.alignment.page import Alignment
     from rlco.training.alignment import explained, features, pooled, probe_accuracy
 
     def train(method: str, k: int) -> tuple[Any, Any]:

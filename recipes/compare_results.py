@@ -13,10 +13,9 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
-from rlco.errors import ConfigError
 from rlco.run import run_recipe
 from rlco.runs.config import REQUIRED, option
-from rlco.runs.whole_files import write_json
+from rlco.runs.whole_files import check_new_folder, write_json, write_text
 
 log = logging.getLogger("rlco.compare_results")
 
@@ -31,31 +30,34 @@ class Config:
         None, "which method of a, where it has several; null: its only one"
     )
     method_b: str | None = option(None, "the same of b")
-    out: str | None = option(None, "JSON file to write the numbers to; null: none")
+    out: str | None = option(None, "new folder for table and numbers; null: none")
 
 
 def main(config: Config) -> None:
     """Print the comparison."""
     from rlco.reporting.paired_results import compare, notes, read_evaluation, table
 
-    if config.out is not None and Path(config.out).exists():
-        raise ConfigError([f"out={config.out} exists; give a new file"])
+    if config.out is not None:
+        check_new_folder(Path(config.out))
     files = [read_evaluation(Path(given)) for given in (config.a, config.b)]
     first = files[0].of(config.method_a, "method_a")
     second = files[1].of(config.method_b, "method_b")
     names = [first[0]["method"], second[0]["method"]]
     if names[0] == names[1]:
-        names = [
-            f"{name} (a)" if i == 0 else f"{name} (b)" for i, name in enumerate(names)
-        ]
+        names = [f"{names[0]} (a)", f"{names[1]} (b)"]
     found = compare(first, second)
     said = notes(found, *files)
-    print(table(found, *names))
+    text = table(found, *names)
+    print(text)
     for note in said:
         log.info("%s", note)
     if config.out is not None:
-        rows = [{**one._asdict(), "difference": list(one.difference)} for one in found]
-        write_json(Path(config.out), {"a": names[0], "b": names[1], "rows": rows})
+        out = Path(config.out)
+        out.mkdir(parents=True)
+        write_text(out / "table.md", text + "\n")
+        rows = [one._asdict() for one in found]
+        numbers = {"a": names[0], "b": names[1], "notes": said, "rows": rows}
+        write_json(out / "comparison.json", numbers)
 
 
 if __name__ == "__main__":

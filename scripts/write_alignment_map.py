@@ -1,4 +1,4 @@
-"""Write rlco/reporting/alignment_map.json, which align shows, from committed cells.
+"""Write rlco/reporting/alignment/map.json, which align shows, from committed cells.
 
     uv run scripts/write_alignment_map.py
 
@@ -15,7 +15,7 @@ from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
-from rlco.reporting.alignment_map import METHODS, Column, as_json
+from rlco.reporting.alignment.map import METHODS, Column, as_json
 from rlco.reporting.comparison import rates
 from rlco.reporting.experiment_results import table_entries
 from rlco.runs.compare.cells import Store
@@ -25,7 +25,7 @@ from rlco.runs.whole_files import write_text
 
 ROOT = Path(__file__).parents[1]
 BENCHMARKS = ROOT / "benchmarks"
-MAP = ROOT / "rlco" / "reporting" / "alignment_map.json"
+MAP = ROOT / "rlco" / "reporting" / "alignment" / "map.json"
 #: Task of a map: experiment, its cells, and what its table calls the last of METHODS.
 MAPS = {
     "planar": ("planar", "planar", ("beta 0", "beta 0.2")),

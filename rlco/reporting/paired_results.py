@@ -35,7 +35,7 @@ class Evaluation:
 
     Attributes:
         path: The file.
-        rows: One per method, place and seed.
+        rows: One per method, environment and seed.
         states: What draws the initial states of each episode, by task; empty where the
             file does not tell.
     """
@@ -67,7 +67,7 @@ class Evaluation:
 
 
 class Comparison(NamedTuple):
-    """Two methods in one place, over the same initial states.
+    """Two methods in one environment, over the same initial states.
 
     Attributes:
         column: Task, domain and variation.
@@ -189,30 +189,31 @@ def compare(
     """Compare two methods wherever both were evaluated.
 
     Args:
-        first: One method's rows, one per place and seed.
+        first: One method's rows, one per environment and seed.
         second: The other's.
 
     Raises:
-        RlcoError: They have no place or seed in common, one has a seed twice, or rows
-            of one place and seed have other initial states.
+        RlcoError: They have no environment or seed in common, one has a seed twice, or
+            rows of one environment and seed have other initial states.
     """
-    places = [place for place in columns(first) if place in columns(second)]
-    if not places:
+    both = [column for column in columns(first) if column in columns(second)]
+    if not both:
         raise RlcoError(
-            f"the two have no place in common: {_places(first)} and {_places(second)}; "
-            "evaluate both in the same task, domain and variation."
+            f"the two have no environment in common: {_environments(first)} and "
+            f"{_environments(second)}; evaluate both in the same task, domain and "
+            "variation."
         )
-    return [_compared(place, first, second) for place in places]
+    return [_compared(column, first, second) for column in both]
 
 
 def _compared(
-    place: Column, first: Sequence[ResultRow], second: Sequence[ResultRow]
+    column: Column, first: Sequence[ResultRow], second: Sequence[ResultRow]
 ) -> Comparison:
-    one, other = _by_seed(first, place), _by_seed(second, place)
+    one, other = _by_seed(first, column), _by_seed(second, column)
     seeds = tuple(sorted(one.keys() & other.keys()))
     if not seeds:
         raise RlcoError(
-            f"{_words(place)}: seeds {sorted(one)} and {sorted(other)} have none in "
+            f"{_words(column)}: seeds {sorted(one)} and {sorted(other)} have none in "
             "common; evaluate both methods with the same seeds."
         )
     won: list[bool] = []
@@ -230,7 +231,7 @@ def _compared(
             [one[seed] for seed in seeds], [other[seed] for seed in seeds]
         )
     return Comparison(
-        column=place,
+        column=column,
         seeds=seeds,
         left_out=tuple(sorted(one.keys() ^ other.keys())),
         episodes=len(won),
@@ -243,33 +244,33 @@ def _compared(
     )
 
 
-def _by_seed(rows: Iterable[ResultRow], place: Column) -> dict[int, ResultRow]:
+def _by_seed(rows: Iterable[ResultRow], column: Column) -> dict[int, ResultRow]:
     found: dict[int, ResultRow] = {}
     for row in rows:
-        if (row["task"], row["domain"], row["variation"]) != place:
+        if (row["task"], row["domain"], row["variation"]) != column:
             continue
         if row["seed"] in found:
             raise RlcoError(
-                f"{row['method']} has seed {row['seed']} twice in {_words(place)}; "
+                f"{row['method']} has seed {row['seed']} twice in {_words(column)}; "
                 "give files with one row of each seed."
             )
         found[row["seed"]] = row
     return found
 
 
-def _words(place: Column) -> str:
-    return ", ".join(str(part) for part in place if part)
+def _words(column: Column) -> str:
+    return ", ".join(str(part) for part in column if part)
 
 
-def _places(rows: Sequence[ResultRow]) -> str:
-    return "; ".join(_words(place) for place in columns(rows))
+def _environments(rows: Sequence[ResultRow]) -> str:
+    return "; ".join(_words(column) for column in columns(rows))
 
 
 def table(found: Sequence[Comparison], first: str, second: str) -> str:
     """Return comparisons as a Markdown table."""
     lines = [
-        f"| place | {first} | {second} | difference, points [95 %] | {first} alone | "
-        f"{second} alone | p | episodes | seeds |",
+        f"| environment | {first} | {second} | difference, points [95 %] | "
+        f"{first} alone | {second} alone | p | episodes | seeds |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for one in found:

@@ -10,7 +10,7 @@ import pytest
 from align import Config, split, stage_options
 from recipe_cases import Assets, refused, start
 
-from rlco.reporting.alignment_page import Alignment
+from rlco.reporting.alignment.page import Alignment
 from rlco.runs.indices import index_list
 
 pytestmark = pytest.mark.slow

@@ -31,17 +31,22 @@ def test_two_evaluations_are_compared(
 ) -> None:
     a = _evaluation(tmp_path / "a", "rl_co", [1] * 8)
     b = _evaluation(tmp_path / "b", "sft", [0] * 8)
-    out = tmp_path / "numbers.json"
+    out = tmp_path / "new" / "compared"
     start("compare_results", f"a={a}", f"b={b}", f"out={out}")
     shown = capsys.readouterr()
     assert "| push_cube, sim | 100.0% | 0.0% | +100.0 [" in shown.out
     assert "| 8 | 0 | 0.0078 | 8 | 1 |" in shown.out
     assert "for these two policies, not for two methods" in shown.err
-    (row,) = json.loads(out.read_text())["rows"]
+    assert (out / "table.md").read_text() == shown.out
+    (row,) = json.loads((out / "comparison.json").read_text())["rows"]
     assert row["p_value"] == pytest.approx(2 / 2**8)
     assert row["difference"][0] == 1.0
     words = refused(capsys, "compare_results", f"a={a}", f"b={b}", f"out={out}")
-    assert "numbers.json exists; give a new file" in words
+    assert "compared" in words
+    assert "exists" in words
+    below = f"out={a / 'results.json' / 'under'}"
+    words = refused(capsys, "compare_results", f"a={a}", f"b={b}", below)
+    assert "cannot be made (Not a directory)" in words
 
 
 def test_the_same_name_is_told_apart(
@@ -50,7 +55,7 @@ def test_the_same_name_is_told_apart(
     a = _evaluation(tmp_path / "a", "sft", [1, 0])
     b = _evaluation(tmp_path / "b", "sft", [1, 1])
     start("compare_results", f"a={a}", f"b={b}")
-    assert "| place | sft (a) | sft (b) |" in capsys.readouterr().out
+    assert "| environment | sft (a) | sft (b) |" in capsys.readouterr().out
 
 
 def test_what_is_no_evaluation_is_refused(

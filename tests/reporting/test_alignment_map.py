@@ -9,7 +9,7 @@ from types import ModuleType
 
 import pytest
 
-from rlco.reporting.alignment_map import (
+from rlco.reporting.alignment.map import (
     METHODS,
     Column,
     as_json,
@@ -17,7 +17,7 @@ from rlco.reporting.alignment_map import (
     neighbours,
     read_map,
 )
-from rlco.reporting.alignment_page import map_table
+from rlco.reporting.alignment.page import map_table
 
 ROOT = Path(__file__).parents[2]
 

@@ -117,7 +117,7 @@ def test_other_initial_states_are_refused() -> None:
         compare(
             [_row("rl", 0, [1], states_seed=1)], [_row("sft", 0, [0], states_seed=2)]
         )
-    with pytest.raises(RlcoError, match="no place in common: push_cube, sim and"):
+    with pytest.raises(RlcoError, match="no environment in common: push_cube, sim and"):
         compare([_row("rl", 0, [1])], [_row("sft", 0, [0], domain="locked")])
     with pytest.raises(RlcoError, match=r"seeds \[0\] and \[1\] have none in common"):
         compare([_row("rl", 0, [1])], [_row("sft", 1, [0])])

@@ -11,11 +11,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import mujoco
 import numpy as np
 
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.arm.servo_response import JointResponse
-from rlco.gap.compare.problem import Hypothesis, Integers
+from rlco.gap.compare.problem import Integers
 from rlco.gap.compare.segments import joint_velocity
 from rlco.gap.logs.log import Array
 from rlco.gap.search.whitening import Whitening
@@ -45,7 +46,7 @@ class Guess:
 
 
 @dataclass(frozen=True)
-class Path:
+class JointPath:
     """The measured path of one joint in some recordings.
 
     Attributes:
@@ -80,10 +81,17 @@ class Path:
 
 
 def path_of(
-    problem: ArmRollouts, hypothesis: Hypothesis, joint: str, recordings: Integers
-) -> Path | None:
-    """Return a joint's measured path; None where it hardly moves, or has no servo."""
-    model, column = problem.compiled(hypothesis), problem.log.joints.index(joint)
+    problem: ArmRollouts, model: mujoco.MjModel, joint: str, recordings: Integers
+) -> JointPath | None:
+    """Return a joint's measured path; None where it hardly moves, or has no servo.
+
+    Args:
+        problem: The robot and its log.
+        model: The robot with what acts already.
+        joint: The joint.
+        recordings: Those that are used.
+    """
+    column = problem.log.joints.index(joint)
     segments = [one for one in problem.segments if one.recording in recordings]
     logs = [problem.log.recordings[one.recording] for one in segments]
     qpos = model.qpos0.copy()
@@ -108,11 +116,11 @@ def path_of(
     low, high = np.quantile(np.concatenate(position), (0.005, 0.995))
     if high - low < _SHORTEST:
         return None
-    return Path(response, step, position, velocity, frames)
+    return JointPath(response, step, position, velocity, frames)
 
 
 def guesses(
-    path: Path, joint: str, rows: Integers, residual: Array, whitening: Whitening
+    path: JointPath, joint: str, rows: Integers, residual: Array, whitening: Whitening
 ) -> list[Guess]:
     """Return a guess at each effect whose torque depends on position, the best first.
 
@@ -155,13 +163,13 @@ def guesses(
     return sorted(found, key=lambda one: -one.gain)
 
 
-def counts_along(path: Path) -> Array:
+def counts_along(path: JointPath) -> Array:
     """Return the numbers of waves a turn that are told apart along a path, (counts,).
 
     Example:
         >>> swing = np.sin(np.linspace(0.0, 6.28, 1000))  # 2 rad to and fro
         >>> joint = JointResponse(0.1, 4.0, 50.0)
-        >>> found = counts_along(Path(joint, 0.01, [swing], [swing], [swing]))
+        >>> found = counts_along(JointPath(joint, 0.01, [swing], [swing], [swing]))
         >>> round(float(found[0]), 1), round(float(found[1] - found[0]), 1)
         (3.1, 0.5)
     """
@@ -180,13 +188,14 @@ class _Fit:
     """
 
     def __init__(
-        self, path: Path, rows: Integers, residual: Array, whitening: Whitening
+        self, path: JointPath, rows: Integers, residual: Array, whitening: Whitening
     ) -> None:
         self.path, self.scale = path, whitening.scale[rows]
         self.basis, self.weight = whitening.basis[rows], whitening.shrink**2 - 1.0
         along = (residual @ whitening.basis) * (whitening.shrink - 1.0)
         self.goal = residual[rows] + self.basis @ along
-        common = [np.stack(list(row)) for row in map(_common, *self._signals())]
+        signals = path.position, path.velocity
+        common = [np.stack(list(row)) for row in map(_common, *signals)]
         beside = path.moved(common) / self.scale
         size = np.linalg.norm(beside, axis=1)
         self.beside = beside[size > 0.0] / size[size > 0.0, None]
@@ -194,9 +203,6 @@ class _Fit:
         gram = self._products(self.beside, self.beside_along)
         self.inverse = np.linalg.pinv(gram, rcond=1e-9, hermitian=True)
         self.explained = self.inverse @ (self.beside @ self.goal)
-
-    def _signals(self) -> tuple[list[Array], list[Array]]:
-        return self.path.position, self.path.velocity
 
     def _products(self, columns: Array, along: Array) -> Array:
         """Return whitened products of columns (..., rows) with the common ones."""

@@ -101,11 +101,17 @@ def register(effect: Effect) -> None:
     """Add your own effect to the library.
 
     Raises:
-        RlcoError: If its name is taken, or its law cannot be compiled.
+        RlcoError: If its name is taken, its law cannot be compiled, or it is
+            `uncommon`: a search knows first values of the library's own alone.
     """
     if effect.name in EFFECTS:
         message = f"an effect named {effect.name!r} exists: give yours another name."
         raise RlcoError(message)
+    if effect.uncommon:
+        raise RlcoError(
+            f"effect {effect.name!r} is uncommon, and no search could begin with it; "
+            "leave uncommon=True out, and give its parameters starts."
+        )
     for law in (effect.friction, effect.torque):
         if law is not None:
             address_of_law(law)

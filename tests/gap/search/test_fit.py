@@ -169,3 +169,13 @@ def test_start_that_diverges_is_left_where_it_is() -> None:
     assert found.cost == np.inf
     assert whiten.count == 1
     np.testing.assert_array_equal(values_of(found.effects), [0.5, 0.5])
+
+
+def test_a_number_of_waves_is_differentiated_in_steps_that_they_stand() -> None:
+    path = np.linspace(-2.0, 2.0, 400)
+    count = Parameter("count", "1/turn", 1, 1e3, 20, (20.0,), scales=False, step=1e-2)
+    effect = AppliedEffect("one", "elbow", {"count": 150.0})
+    waves = Counted(lambda values: np.sin(values[0] * path))
+    found = linearise({ONE: (count,)}, [effect], waves)
+    # A share of the value, 1.5, would turn the ends of the path by half a wave.
+    np.testing.assert_allclose(found.jacobian[0], path * np.cos(150 * path), atol=0.03)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import mujoco
 import numpy as np
 import pytest
@@ -168,3 +170,44 @@ def test_a_name_that_is_not_there_is_told_with_those_that_are() -> None:
 def test_a_known_name_cannot_be_taken_again() -> None:
     with pytest.raises(RlcoError, match="'backlash' exists"):
         register(EFFECTS["backlash"])
+
+
+def test_an_own_effect_that_no_search_could_begin_with_is_refused() -> None:
+    own = replace(EFFECTS["cogging"], name="own_cogging")
+    with pytest.raises(RlcoError, match="leave uncommon=True out, and give its"):
+        register(own)
+    assert "own_cogging" not in EFFECTS
+
+
+def _along(applied: AppliedEffect, position: float, velocity: float) -> list[Array]:
+    """Return the friction and the torque that an effect's laws give, a list of each."""
+    where = [np.array([x]) for x in (position, velocity, 0.0, 0.0)]
+    return [
+        np.array([law_along(laws, row, *where)[0] for row in range(len(laws.rows))])
+        for laws in step_forces(_spec().compile(), [applied])
+    ]
+
+
+def test_cogging_has_a_wave_and_one_of_half_its_length() -> None:
+    values = {"amplitude": 2.0, "count": 10.0, "phase": 0.5}
+    second = {"second_sine": 0.5, "second_cosine": -0.25}
+    _, torque = _along(AppliedEffect("cogging", "j", values | second), 0.3, 0.0)
+    # 2 sin(3.5) + 0.5 sin(7) - 0.25 cos(7)
+    assert torque == pytest.approx([-0.7015665 + 0.3284933 - 0.1884756], abs=1e-6)
+
+
+def test_a_hardening_spring_pulls_with_the_cube_of_the_angle() -> None:
+    spring = AppliedEffect("hardening_spring", "j", {"hardening": 6.0, "rest": 0.2})
+    assert _along(spring, 0.7, 0.0)[1] == pytest.approx([-6.0 * 0.125])
+    assert _along(spring, -0.3, 0.0)[1] == pytest.approx([6.0 * 0.125])
+
+
+@pytest.mark.parametrize(("velocity", "resists"), [(0.5, 5.0), (-0.5, 2.0)])
+def test_friction_by_direction_resists_by_what_it_says(
+    velocity: float, resists: float
+) -> None:
+    given = {"forward": 5.0, "backward": 2.0}
+    own = AppliedEffect("directional_friction", "j", given)
+    friction, torque = _along(own, 0.0, velocity)
+    # Against the motion: the friction, less what pushes along with it.
+    assert friction[0] - np.sign(velocity) * torque[0] == pytest.approx(resists)

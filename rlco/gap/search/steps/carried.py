@@ -12,6 +12,7 @@ from dataclasses import replace
 import mujoco
 
 from rlco.gap.compare.problem import Candidate
+from rlco.gap.search.fit import candidates_of
 from rlco.gap.search.judge import at_bounds
 from rlco.gap.search.state import State
 from rlco.gap.search.steps.drop import drop
@@ -27,18 +28,19 @@ def carried(state: State) -> State:
     Args:
         state: Of a search that has added and dropped its effects.
     """
-    for effect in state.best.effects:
-        link = carrier(state.setting.problem.model, effect)
-        if link is not None:
-            state = _moved(state, effect, link)
+    for held in candidates_of(state.best.effects):
+        link = carrier(state.setting.problem.model, held)
+        # A move fits the other effects anew, and may drop some.
+        if link is not None and held in state.best.names:
+            state = _moved(state, held, link)
     return state
 
 
-def carrier(model: mujoco.MjModel, effect: AppliedEffect) -> str | None:
+def carrier(model: mujoco.MjModel, held: Candidate) -> str | None:
     """Return the link that carries the jaw at which a payload is; None: no jaw is."""
-    if effect.name != PAYLOAD.name:
+    if held.name != PAYLOAD.name:
         return None
-    jaw = int(model.body_weldid[model.body(str(effect.target)).id])
+    jaw = int(model.body_weldid[model.body(str(held.target)).id])
     link = int(model.body_weldid[model.body_parentid[jaw]])
     if link == 0:
         return None
@@ -46,20 +48,22 @@ def carrier(model: mujoco.MjModel, effect: AppliedEffect) -> str | None:
     return model.body(link).name if masses[0] <= LIGHT * masses[1] else None
 
 
-def _moved(state: State, effect: AppliedEffect, link: str) -> State:
+def _moved(state: State, held: Candidate, link: str) -> State:
     setting, best = state.setting, state.best
     model, there = setting.problem.model, Candidate(PAYLOAD.name, link)
     if there in best.names:
         return state
     library = {**setting.library, there: PAYLOAD.parameters(model, link)}
     wider = replace(state, setting=replace(setting, library=library))
+    named = candidates_of(best.effects)
+    effect = best.effects[named.index(held)]
     others = tuple(one for one in best.effects if one is not effect)
     # From the link's own frame, as a search begins: where a place does not matter, the
     # jaw's may be anywhere.
     mass, *place = effect.parameters
     start = {mass: float(effect.values[0]), **dict.fromkeys(place, 0.0)}
-    held = AppliedEffect(effect.name, link, start)
-    wider, fits = wider.fit([(held, *others)], steps=12)
+    moved = AppliedEffect(effect.name, link, start)
+    wider, fits = wider.fit([(moved, *others)], steps=12)
     if not fits:
         return state
     found = drop(replace(wider, best=fits[0]))

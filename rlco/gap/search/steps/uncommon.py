@@ -49,7 +49,11 @@ def uncommon(state: State, additions: Additions) -> Generator[State, None, State
     if state.best.error <= NEAR_FLOOR or not isinstance(problem, ArmRollouts):
         return state
     library = _library(problem, state)
-    best = [guess for base in _bases(state) for guess in _guesses(state, base, library)]
+    best = [
+        guess
+        for base in _bases(state)
+        for guess in _guesses(state, problem, base, library)
+    ]
     if not best:
         return state
     tried = _beside(state, library, best)
@@ -89,12 +93,12 @@ def _bases(state: State) -> list[Scored]:
     return [state.best, state.none] if state.best.effects else [state.none]
 
 
-def _guesses(state: State, base: Scored, library: Library) -> list[Guess]:
+def _guesses(
+    state: State, problem: ArmRollouts, base: Scored, library: Library
+) -> list[Guess]:
     """Return the likeliest effects at each joint that something is left at."""
-    setting = state.setting
-    problem, layout = setting.problem, setting.problem.layout
-    if not isinstance(problem, ArmRollouts):
-        return []
+    setting, layout = state.setting, problem.layout
+    model = problem.compiled(Hypothesis(base.effects))
     train = np.isin(layout.recording, setting.train)
     channel, residual = layout.channel[train], base.fit.residual
     found = []
@@ -103,8 +107,7 @@ def _guesses(state: State, base: Scored, library: Library) -> list[Guess]:
         squares = float(np.sum(residual[rows] ** 2))
         if squares < NEAR_FLOOR * len(rows):
             continue
-        hypothesis = Hypothesis(base.effects)
-        path = path_of(problem, hypothesis, joint, np.array(setting.train))
+        path = path_of(problem, model, joint, np.array(setting.train))
         if path is None:
             continue
         for guess in guesses(path, joint, rows, residual, setting.weights.training):

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.compare.problem import Candidate
 from rlco.gap.logs.log import Log, Recording
 from rlco.gap.search.state import State
 from rlco.gap.search.steps.carried import carried, carrier
@@ -96,10 +97,7 @@ def test_what_the_jaw_holds_stays_there() -> None:
 def test_a_link_that_is_no_light_jaw_has_no_carrier() -> None:
     model = mujoco.MjModel.from_xml_string(ARM)
 
-    def held(by: str) -> AppliedEffect:
-        return AppliedEffect("payload", by, {"mass": 1.0, "x": 0, "y": 0, "z": 0})
-
-    assert carrier(model, held("finger")) == "gripper"
-    assert carrier(model, held("gripper")) is None  # 0.3 kg on 0.5 kg
-    assert carrier(model, held("upper")) is None  # on the ground
-    assert carrier(model, AppliedEffect("armature", "jaw", {"armature": 1.0})) is None
+    assert carrier(model, Candidate("payload", "finger")) == "gripper"
+    assert carrier(model, Candidate("payload", "gripper")) is None  # 0.3 kg on 0.5 kg
+    assert carrier(model, Candidate("payload", "upper")) is None  # on the ground
+    assert carrier(model, Candidate("armature", "jaw")) is None

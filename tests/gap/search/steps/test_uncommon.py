@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 
 import mujoco
@@ -98,3 +99,18 @@ def test_an_effect_that_is_left_out_is_not_tried() -> None:
     uncommon_too = {"cogging", "hardening_spring"}
     state = start(problem, exclude=every | uncommon_too)
     assert list(uncommon(state, additions)) == []
+
+
+@pytest.mark.slow
+def test_friction_by_direction_is_said_where_it_is_named_as_two_torques() -> None:
+    def pushes(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        data.qfrc_applied[0] = 0.15
+
+    problem = _problem(_rubs, pushes)  # 0.4 N m: 0.25 forwards, 0.55 backwards
+    found = find_gap(problem, exclude=_others(problem))
+    assert {name for name, _ in _named(found)} == {"coulomb_friction", "torque_bias"}
+    (remark,) = found.remarks
+    sizes = re.search(r"at shoulder .* (\S+) forwards and (\S+) backwards", remark)
+    assert sizes is not None
+    forward, backward = map(float, sizes.groups())
+    assert (forward, backward) == pytest.approx((0.25, 0.55), abs=0.02)

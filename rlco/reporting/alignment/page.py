@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from html import escape
 from pathlib import Path
 
-from rlco.reporting.alignment_map import (
+from rlco.reporting.alignment.map import (
     Column,
     in_percent,
     in_words,

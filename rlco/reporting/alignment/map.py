@@ -1,6 +1,6 @@
 """What the maps of experiments measured, by how much sim teaches of the robot's part.
 
-alignment_map.json is written by scripts/write_results.py from committed cells.
+map.json is written by scripts/write_alignment_map.py from committed cells.
 """
 
 from __future__ import annotations
@@ -67,13 +67,13 @@ def read_map() -> list[Column]:
         >>> columns[0].share < 0 < columns[-1].share
         True
     """
-    text = files("rlco.reporting").joinpath("alignment_map.json").read_text("utf-8")
+    text = files("rlco.reporting.alignment").joinpath("map.json").read_text("utf-8")
     columns = [Column(**entry) for entry in json.loads(text)["columns"]]
     return sorted(columns, key=lambda column: column.share)
 
 
 def as_json(columns: Sequence[Column]) -> dict[str, Any]:
-    """Return what alignment_map.json holds."""
+    """Return what map.json holds."""
     return {"columns": [vars(column) for column in columns]}
 
 
