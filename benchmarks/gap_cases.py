@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
-from itertools import cycle
+from itertools import cycle, islice
 from pathlib import Path
 from typing import Any
 
@@ -116,7 +116,7 @@ def _cases(first_seed: int) -> Iterator[Case]:
             yield case(f"outside{suffix}", motion, (name,), 1.0 if rounds == 1 else 1.5)
     for name in IN_LIBRARY:
         yield case("leave_out", "excite", (name,), 1.0, (name,))
-    for _, name in zip(range(50), cycle(UNCOMMON), strict=False):
+    for name in islice(cycle(UNCOMMON), 50):
         yield case("uncommon", "excite", (name,))
 
 
@@ -245,12 +245,12 @@ def _truth(
     case: Case, motion: Motion, hidden: Sequence[Hidden], shows: Sequence[float]
 ) -> dict[str, Any]:
     effects = []
-    told = [
+    named = [
         (part, seen)
         for effect, seen in zip(hidden, shows, strict=True)
         for part in _as_named(effect)
     ]
-    for effect, seen in told:
+    for effect, seen in named:
         numbers = dict(effect.parameters)
         row: dict[str, Any] = {"name": effect.name, "target": effect.target}
         row["value"] = next(iter(numbers.values()))
