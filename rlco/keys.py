@@ -23,6 +23,8 @@ ENVIRONMENT_STATE = ("observation", "environment_state")
 #: One camera frame, uint8 [*B, C, H, W]; absent where there is no camera. Several
 #: cameras have one each under it, see `image_keys`.
 IMAGE = ("observation", "image")
+#: What a fixed encoder of a policy makes of these, float32 [*B, F]: computed once.
+IMAGE_FEATURES = ("observation", "image_features")
 #: Share of the episode that is left, float32 [*B, 1], 1 as it starts and 0 as it ends.
 #: For critics: a policy does not read it, and a robot has none.
 TIME_LEFT = ("observation", "time_left")

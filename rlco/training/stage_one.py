@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from rlco.physics.spec.task import Task
     from rlco.policies import ChunkPolicy
     from rlco.training.options.stage_one_options import StageOneOptions
+    from rlco.training.pretraining import PositionTerm
     from rlco.training.run_protocols import TrainingRun
 
 
@@ -91,7 +92,10 @@ def check_stage_one(
     options: StageOneOptions, task: AnyTask | None = None
 ) -> ChunkPolicy:
     """Check what the options say of each other; return a policy that they describe."""
+    from rlco.training.pretraining import check_pretraining
+
     policy_options.check_image_options(options)
+    check_pretraining(options)
     policy = new_policy(options, task)
     if options.evaluated and options.eval_domains and options.task is not None:
         policy_options.check_rendered(policy, options.task)
@@ -243,8 +247,19 @@ def train_stage_one(
     from rlco.data import SimRealReplayBuffer
     from rlco.losses import CoTrainingLoss, ImitationLoss
     from rlco.policies import save_policy
+    from rlco.training.pretraining import PositionTerm, pretrained_head, with_features
 
     policy = build_policy(options, demos)
+    head = pretrained_head(options, run, policy, demos.task, demos.sim)
+    positions = None
+    if options.image_fixed:
+        policy.fix_images()
+        read = [one and with_features(policy, one) for one in demos[1:]]
+        demos = StageOneDemos(demos.task, *read)
+    if options.position_coeff and head is not None:
+        positions = PositionTerm(demos.task, policy, head, options.position_coeff)
+    # Before the losses copy it: rows then bring what the term made of their images.
+    policy.encoder.reads_stored |= positions is not None
     buffer = SimRealReplayBuffer(
         demos.sim,
         demos.real,
@@ -257,7 +272,8 @@ def train_stage_one(
         sim_coeff=options.alpha,
         real_coeff=1.0 - options.alpha,
     )
-    imitate(options, run, policy, loss, buffer, demos.heldout)
+    imitate(options, run, policy, loss, buffer, demos.heldout, positions)
+    policy.encoder.reads_stored = policy.images_fixed
     save_policy(
         policy,
         run.path / "policy",
@@ -294,6 +310,7 @@ def imitate(
     loss: CoTrainingLoss,
     buffer: SimRealReplayBuffer,
     heldout: DemoReplayBuffer | None = None,
+    positions: PositionTerm | None = None,
 ) -> None:
     """Follow the loss for ``updates`` steps, from the run's last checkpoint on.
 
@@ -305,11 +322,15 @@ def imitate(
     """
     import torch
 
+    from rlco import keys
     from rlco.finite import check_step, check_weights, gradient_norm
     from rlco.training.imitation_errors import fixed_imitation_error
 
+    trained = list(loss.parameters())
+    if positions is not None:
+        trained += positions.head.parameters()
     optimizer = torch.optim.AdamW(
-        loss.parameters(), lr=options.lr, weight_decay=options.weight_decay
+        trained, lr=options.lr, weight_decay=options.weight_decay
     )
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, options.updates)
     if (saved := run.load_checkpoint()) is not None:
@@ -317,6 +338,8 @@ def imitate(
         optimizer.load_state_dict(saved["optimizer"])
         schedule.load_state_dict(saved["schedule"])
         buffer.load_state_dict(saved["buffer"])
+        if positions is not None:
+            positions.head.load_state_dict(saved["head"])
     blocks = -(-options.updates // options.log_every)
 
     def progress(block: int) -> str:
@@ -328,10 +351,14 @@ def imitate(
         totals: dict[str, float] = {}
         for index in range(count := min(options.log_every, options.updates - done)):
             update = f"update {done + index + 1}"
-            terms = loss(buffer.sample())
+            batch = buffer.sample()
+            terms: dict[str, Any] = {}
+            if positions is not None and keys.SIM in batch:
+                terms["loss_position"] = positions(batch[keys.SIM])
+            terms |= dict(loss(batch).items())
             optimizer.zero_grad()
             sum(terms.values()).backward()
-            norms = [gradient_norm(loss.parameters())]
+            norms = [gradient_norm(trained)]
             check_step(update, terms.items(), norms, {"policy": policy})
             optimizer.step()
             schedule.step()
@@ -342,12 +369,12 @@ def imitate(
             error = fixed_imitation_error(policy, heldout.frames())
             totals["imitation_error_heldout"] = error
         run.log_metrics(block, {"updates": done + count, **totals})
-        run.save_checkpoint(
-            block,
-            {
-                "loss": dict(loss.state_dict()),
-                "optimizer": optimizer.state_dict(),
-                "schedule": schedule.state_dict(),
-                "buffer": buffer.state_dict(rows=False),
-            },
-        )
+        state = {
+            "loss": dict(loss.state_dict()),
+            "optimizer": optimizer.state_dict(),
+            "schedule": schedule.state_dict(),
+            "buffer": buffer.state_dict(rows=False),
+        }
+        if positions is not None:
+            state["head"] = dict(positions.head.state_dict())
+        run.save_checkpoint(block, state)

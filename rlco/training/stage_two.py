@@ -85,6 +85,7 @@ def load_stage_two(options: StageTwoOptions) -> tuple[ChunkPolicy, StageTwoDemos
     from rlco.data import load_task_demos
     from rlco.physics.tasks.named_task import named_task
     from rlco.policies import load_task_policy
+    from rlco.training.pretraining import with_features
 
     task = named_task(options.task)
     policy = load_task_policy(options.policy, task)
@@ -92,10 +93,7 @@ def load_stage_two(options: StageTwoOptions) -> tuple[ChunkPolicy, StageTwoDemos
     check_stage_two(options)
     check_rendered(policy, options.task)
     check_look(options.look, policy.image_size)
-    if options.augment and policy.image_size is None:
-        raise ConfigError(
-            [f"augment=true changes images, but policy {options.policy!r} reads none"]
-        )
+    check_images(options, policy)
 
     def load(path: str | None, episodes: list[int] | None) -> DemoReplayBuffer | None:
         if path is None:
@@ -120,9 +118,41 @@ def load_stage_two(options: StageTwoOptions) -> tuple[ChunkPolicy, StageTwoDemos
         ),
     )
     augment(options, demos.real)
+    if options.image_fixed:
+        policy.fix_images()
+        demos = StageTwoDemos(*(one and with_features(policy, one) for one in demos))
     if options.horizon is not None and demos.real is not None:
         warn_of_cut_off(options.horizon, demos.real)
     return policy, demos
+
+
+def check_images(options: StageTwoOptions, policy: ChunkPolicy) -> None:
+    """Check that options of images are those of a policy that reads some.
+
+    Raises:
+        ConfigError: They contradict the policy, or each other.
+    """
+    wanted = {
+        "augment=true": options.augment,
+        "image_fixed=true": options.image_fixed,
+        f"image_lr={options.image_lr}": options.image_lr != 1.0,
+    }
+    given = [name for name, is_wanted in wanted.items() if is_wanted]
+    if given and policy.image_size is None:
+        raise ConfigError(
+            [
+                f"{given[0]} is of images, but policy {options.policy!r} reads none; "
+                "leave it out"
+            ]
+        )
+    if options.image_fixed and len(given) > 1:
+        other = next(name for name in given if name != "image_fixed=true")
+        raise ConfigError(
+            [
+                f"image_fixed=true reads images once, by an encoder that stays, and "
+                f"{other} would change that; give one of them"
+            ]
+        )
 
 
 def warn_of_cut_off(horizon: int, demos: DemoReplayBuffer) -> None:
@@ -261,7 +291,7 @@ def make_learner(
         critic,
         loss,
         buffer,
-        torch.optim.Adam(policy.parameters(), lr=options.lr),
+        torch.optim.Adam(_rates(options, policy), lr=options.lr),
         None
         if critic is None
         else torch.optim.Adam(critic.own_parameters(), lr=options.critic_lr),
@@ -273,3 +303,13 @@ def make_learner(
         anchor=anchor,
         ranks=Ranks() if ranks is None else ranks,
     )
+
+
+def _rates(options: StageTwoOptions, policy: ChunkPolicy) -> Any:
+    """Return the policy's parameters, its images' apart where they learn slower."""
+    if options.image_lr == 1.0:
+        return policy.parameters()
+    images = [p for one in policy.encoder.image_encoders() for p in one.parameters()]
+    apart = {id(parameter) for parameter in images}
+    others = [p for p in policy.parameters() if id(p) not in apart]
+    return [{"params": others}, {"params": images, "lr": options.image_lr * options.lr}]

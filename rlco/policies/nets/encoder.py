@@ -11,7 +11,13 @@ from torch import nn
 from torch.nn import functional
 
 from rlco.errors import ConfigError, DataError
-from rlco.keys import ENVIRONMENT_STATE, INSTRUCTION_ID, STATE, image_keys
+from rlco.keys import (
+    ENVIRONMENT_STATE,
+    IMAGE_FEATURES,
+    INSTRUCTION_ID,
+    STATE,
+    image_keys,
+)
 from rlco.policies.nets.image_encoder import (
     ImageArguments,
     ImageEncoder,
@@ -64,6 +70,9 @@ class ObservationEncoder(nn.Module):
         in_keys: the entries that it reads.
         size: dimension of the feature vector.
         image: the encoder of images; None where they are not read.
+        image_sizes: features of each camera's image.
+        reads_stored: whether ``("observation", "image_features")`` is read in place of
+            images where a batch has it. False in a new encoder.
 
     Raises:
         ConfigError: nothing to read, or a negative size.
@@ -112,16 +121,18 @@ class ObservationEncoder(nn.Module):
         if num_instructions:
             self.in_keys.append(INSTRUCTION_ID)
         # Of the objects: what there is once more for each instruction.
-        images = sum(one.features for one in self._image_encoders())
-        scene = environment_state_size + images
+        self.image_sizes = [one.features for one in self.image_encoders()]
+        self.reads_stored = False
+        scene = environment_state_size + sum(self.image_sizes)
         self.size = state_size + num_instructions + scene * (1 + num_instructions)
 
     @property
     def cameras(self) -> tuple[str, ...]:
         """Names of the simulator's cameras whose images it reads."""
-        return tuple(one.camera for one in self._image_encoders())
+        return tuple(one.camera for one in self.image_encoders())
 
-    def _image_encoders(self) -> list[ImageEncoder]:
+    def image_encoders(self) -> list[ImageEncoder]:
+        """Return the encoder of each camera."""
         if self.image is None:
             return []
         return [self.image, *self.other_images]
@@ -160,6 +171,16 @@ class ObservationEncoder(nn.Module):
                 )
             normalizer.set_quantiles(*quantiles)
 
+    def image_features(self, tensordict: TensorDictBase) -> torch.Tensor:
+        """Return what the images become, all cameras beside each other [*B, F].
+
+        Raises:
+            DataError: an image is missing, or of another size or type.
+        """
+        encoders = zip(self.image_keys, self.image_encoders(), strict=True)
+        found = [encoder(read(tensordict, key)) for key, encoder in encoders]
+        return torch.cat(found, -1)
+
     def forward(self, tensordict: TensorDictBase) -> torch.Tensor:
         """Return the features [*B, size]; float32, or float64 where inputs are."""
         parts, scene = [], []
@@ -167,8 +188,10 @@ class ObservationEncoder(nn.Module):
             parts.append(self.state(read(tensordict, STATE)))
         if self.environment_state is not None:
             scene.append(self.environment_state(read(tensordict, ENVIRONMENT_STATE)))
-        for key, encoder in zip(self.image_keys, self._image_encoders(), strict=True):
-            scene.append(encoder(read(tensordict, key)))
+        if self.image is not None:
+            stored = tensordict.get(IMAGE_FEATURES, None) if self.reads_stored else None
+            images = self.image_features(tensordict) if stored is None else stored
+            scene += images.split(self.image_sizes, -1)
         parts += scene
         if self.num_instructions:
             chosen = read(tensordict, INSTRUCTION_ID)

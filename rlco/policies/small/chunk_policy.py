@@ -10,7 +10,7 @@ from tensordict.nn import InteractionType, TensorDictModuleBase
 from tensordict.nn.probabilistic import interaction_type
 
 from rlco.errors import ConfigError, DataError
-from rlco.keys import ACTION, CHUNK, LOG_PROB, SAMPLE
+from rlco.keys import ACTION, CHUNK, IMAGE_FEATURES, LOG_PROB, SAMPLE, is_image
 from rlco.physics.spec.actions import LIMIT
 from rlco.physics.spec.names import Renderer
 from rlco.policies.nets.encoder import ObservationEncoder, Quantiles, read
@@ -144,6 +144,40 @@ class ChunkPolicy(TensorDictModuleBase):
     def cameras(self) -> tuple[str, ...]:
         """The simulator's cameras whose images it reads."""
         return self.encoder.cameras
+
+    def fix_images(self) -> None:
+        """Leave the image encoders as they are from now on, and compute images once.
+
+        Their weights are no longer trained. The policy writes what it makes of an
+        image, ``("observation", "image_features")``, beside the action; a batch that
+        holds this is not asked for images again. Call it before losses are built.
+
+        Raises:
+            ConfigError: the policy reads no images.
+        """
+        if self.encoder.image is None:
+            raise ConfigError(["the policy reads no images, so none can be fixed"])
+        for encoder in self.encoder.image_encoders():
+            encoder.requires_grad_(False)
+        self.encoder.reads_stored = True
+        images = [key for key in self.replay_keys if is_image(key)]
+        kept = [key for key in self.replay_keys if key not in images]
+        self.replay_keys = [*kept, IMAGE_FEATURES]
+        self.out_keys = [*dict.fromkeys([*self.out_keys, IMAGE_FEATURES])]
+
+    @property
+    def images_fixed(self) -> bool:
+        """Whether `fix_images` was called."""
+        return IMAGE_FEATURES in self.replay_keys
+
+    def store_images(self, tensordict: TensorDictBase) -> None:
+        """Write what a fixed encoder makes of the present images; else do nothing.
+
+        What the batch holds of an earlier step is replaced, never read.
+        """
+        if self.images_fixed:
+            with torch.no_grad():
+                tensordict.set(IMAGE_FEATURES, self.encoder.image_features(tensordict))
 
     @property
     def explores(self) -> bool:

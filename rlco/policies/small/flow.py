@@ -208,6 +208,7 @@ class FlowPolicy(ChunkPolicy):
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write sample, log-probability, chunk and action into ``tensordict``."""
+        self.store_images(tensordict)
         context = self.network.observe(self.encoder(tensordict))
         velocity = partial(self.network, context)
         batch, explores = context.shape[:-1], self.explores

@@ -166,6 +166,7 @@ class GaussianPolicy(ChunkPolicy):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write sample, log-probability, chunk and action into ``tensordict``."""
+        self.store_images(tensordict)
         dist = self.get_dist(tensordict)
         sample = dist.sample() if self.explores else dist.mean
         tensordict.set(SAMPLE, sample)

@@ -200,6 +200,7 @@ class TokenPolicy(ChunkPolicy):
         Raises:
             RlcoError: probabilities are not finite.
         """
+        self.store_images(tensordict)
         context = self.observe(self.encoder(tensordict))
         tokens, log_probs = self._draw(context.flatten(0, -2))
         shape = (*context.shape[:-1], self.chunk, self.action_size)

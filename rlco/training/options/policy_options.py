@@ -121,8 +121,10 @@ class AugmentOptions(RunOptions):
 class PolicyOptions(KindOptions, AugmentOptions):
     """Which kind of policy is trained, and what it reads."""
 
-    image: Literal["none", "conv", "mobilenet"] = option(
-        "none", "encoder of images: none, one of its own, or ImageNet's MobileNetV2"
+    image: Literal["none", "conv", "dense", "mobilenet"] = option(
+        "none",
+        "encoder of images: none, one of rlco's two small ones, or ImageNet's "
+        "MobileNetV2",
     )
     image_size: int = option(
         64, "side of the images that it reads [pixels]", minimum=64, maximum=224
@@ -176,7 +178,7 @@ def check_image_options(options: PolicyOptions) -> None:
     if options.image == "none" and not options.use_environment_state:
         problems.append(
             "use_environment_state=false leaves no observation of the objects; "
-            "give image=conv or image=mobilenet with it"
+            "give image=conv, image=dense or image=mobilenet with it"
         )
     if options.image == "none" and options.augment:
         problems.append("augment=true changes images; give image=conv with it")
@@ -291,8 +293,8 @@ def _image_arguments(options: PolicyOptions) -> Any:
     shared: dict[str, Any] = {"size": size, "renderer": options.renderer}
     # One alone is recorded as it always was.
     shared |= {"camera": cameras[0]} if len(cameras) == 1 else {"cameras": cameras}
-    if options.image == "conv":
-        return {"kind": "conv", **shared}
+    if options.image != "mobilenet":
+        return {"kind": options.image, **shared}
     return {
         "kind": "mobilenet",
         **shared,

@@ -69,6 +69,33 @@ class StageOneOptions(PolicyOptions):
         maximum=LARGEST_LR,
     )
     weight_decay: float = option(1e-4, "AdamW's weight decay", minimum=0)
+    pretrain_scenes: int = option(
+        0,
+        "scenes of the simulator, in random looks, from which the image encoder learns "
+        "where things are before it imitates; 0: none",
+        minimum=0,
+    )
+    pretrain_passes: int = option(
+        20, "pretrain_scenes: how often each is learned from", minimum=1
+    )
+    pretrain_shift: float = option(
+        0.05,
+        "pretrain_scenes: largest shift of an image, share of the side; 0: images stay",
+        minimum=0,
+        maximum=0.25,
+    )
+    pretrain_domain: str = option(
+        "sim", "pretrain_scenes: the simulator, a domain's name or file", input="file"
+    )
+    position_coeff: float = option(
+        0.0,
+        "weight of the loss of positions, read from images of simulated rows while "
+        "imitating; 0: none",
+        minimum=0,
+    )
+    image_fixed: bool = option(
+        False, "imitate with the image encoder as it was pretrained; read images once"
+    )
     eval_episodes: int | None = option(
         None,
         f"episodes of the evaluation; 0: none; null: {EVAL_EPISODES}, with task=null 0",

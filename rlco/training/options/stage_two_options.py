@@ -82,6 +82,16 @@ class StageTwoOptions(LaunchOptions, AugmentOptions, TrainingDomainOptions):
     lr: float = option(
         2e-4, "learning rate of the policy", minimum=0, maximum=LARGEST_LR
     )
+    image_lr: float = option(
+        1.0,
+        "learning rate of the image encoder, as a share of the policy's",
+        minimum=0,
+        maximum=1,
+    )
+    image_fixed: bool = option(
+        False,
+        "leave the image encoder as Stage I made it; images of a rollout are read once",
+    )
     lr_final: float = option(
         0.1,
         "learning rates after the last rollout, as a share of the first",
