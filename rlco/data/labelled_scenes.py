@@ -150,6 +150,6 @@ def _episodes(
         state = stepper.step(command[:, None]).at(np.s_[:, 1])
     order = torch.from_numpy(np.argsort(np.concatenate(episode), kind="stable"))
     rows = TensorDict(batch_size=[len(order)])
-    for key, values in columns.items():
-        rows.set(key, torch.from_numpy(np.concatenate(values))[order])
+    for key, parts in columns.items():
+        rows.set(key, torch.from_numpy(np.concatenate(parts))[order])
     return rows
