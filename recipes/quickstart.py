@@ -26,6 +26,7 @@ from rlco.training.options.policy_options import (
     camera_list,
     group_values,
 )
+from rlco.training.options.pretraining_options import PretrainingOptions
 from rlco.training.options.stage_one_options import StageOneOptions
 from rlco.training.options.stage_two_options import StageTwoOptions
 
@@ -41,7 +42,7 @@ SHARED = ["seed", "threads", "keep_checkpoints", "task", "eval_domains", "effect
 
 
 @dataclass
-class Config(PolicyOptions):
+class Config(PretrainingOptions, PolicyOptions):
     """Options of quickstart.py."""
 
     name: str = option(
@@ -109,12 +110,16 @@ class Config(PolicyOptions):
 
 def stage_one(config: Config, demos: dict[str, str], method: str) -> StageOneOptions:
     """Return the options of a run of Stage I."""
+    # Scenes are simulated, and real_only is to know nothing of a simulator.
+    scenes = {} if method == "real_only" else group_values(config, PretrainingOptions)
     return StageOneOptions(
         name=method,
         sim_demos=demos["sim"],
         real_demos=demos["real"],
         sim_ratio=0.0 if method == "real_only" else config.sim_ratio,
         updates=config.updates,
+        pretrain_domain=config.train_domain,
+        **scenes,
         **{name: getattr(config, name) for name in SHARED},
         **group_values(config, PolicyOptions),
     )
@@ -137,6 +142,7 @@ def stage_two(
         eval_episodes=config.curve_episodes,
         train_domain=config.train_domain,
         train_sample=config.train_sample,
+        image_fixed=config.image_fixed,
         **{name: getattr(config, name) for name in SHARED},
         **group_values(config, AugmentOptions),
     )

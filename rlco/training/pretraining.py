@@ -39,8 +39,10 @@ def check_pretraining(options: StageOneOptions) -> None:
 
     Raises:
         ConfigError: They contradict each other; every problem is reported.
+        UnknownNameError: There is no such domain.
     """
     from rlco.physics.robosuite.options import PREFIX
+    from rlco.physics.spec.domain import FINAL_DOMAINS, make_domain
 
     problems = []
     wanted = {
@@ -77,6 +79,13 @@ def check_pretraining(options: StageOneOptions) -> None:
         problems.append(
             f"position_coeff={options.position_coeff} learns from simulated rows, but "
             "sim_ratio=0 leaves none; give 0"
+        )
+    if options.pretrain_scenes and (
+        make_domain(options.pretrain_domain).name in FINAL_DOMAINS
+    ):
+        problems.append(
+            f"pretrain_domain={options.pretrain_domain} is for final evaluations "
+            "alone; give sim, or a domain of your own"
         )
     if problems:
         raise ConfigError(problems)

@@ -6,13 +6,14 @@ from dataclasses import dataclass
 
 from rlco.runs.config import folder_name, option
 from rlco.training.options.policy_options import LARGEST_LR, PolicyOptions
+from rlco.training.options.pretraining_options import PretrainingOptions
 
 #: What ``sim_ratio=null`` and ``eval_episodes=null`` stand for with a simulator.
 SIM_RATIO, EVAL_EPISODES = 0.5, 128
 
 
 @dataclass
-class StageOneOptions(PolicyOptions):
+class StageOneOptions(PretrainingOptions, PolicyOptions):
     """Options of Stage I."""
 
     name: str = option(
@@ -69,32 +70,8 @@ class StageOneOptions(PolicyOptions):
         maximum=LARGEST_LR,
     )
     weight_decay: float = option(1e-4, "AdamW's weight decay", minimum=0)
-    pretrain_scenes: int = option(
-        0,
-        "scenes of the simulator, in random looks, from which the image encoder learns "
-        "where things are before it imitates; 0: none",
-        minimum=0,
-    )
-    pretrain_passes: int = option(
-        20, "pretrain_scenes: how often each is learned from", minimum=1
-    )
-    pretrain_shift: float = option(
-        0.05,
-        "pretrain_scenes: largest shift of an image, share of the side; 0: images stay",
-        minimum=0,
-        maximum=0.25,
-    )
     pretrain_domain: str = option(
         "sim", "pretrain_scenes: the simulator, a domain's name or file", input="file"
-    )
-    position_coeff: float = option(
-        0.0,
-        "weight of the loss of positions, read from images of simulated rows while "
-        "imitating; 0: none",
-        minimum=0,
-    )
-    image_fixed: bool = option(
-        False, "imitate with the image encoder as it was pretrained; read images once"
     )
     eval_episodes: int | None = option(
         None,
