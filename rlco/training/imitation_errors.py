@@ -68,7 +68,10 @@ def likely_chunks(policy: Any, frames: TensorDictBase) -> torch.Tensor:
         policy: Writes the chunk.
         frames: Observations, batch size (B,).
     """
-    read = frames.select(*policy.in_keys)
+    # Of images that a fixed encoder has read, features are left.
+    present = frames.keys(include_nested=True, leaves_only=True)
+    wanted = (*policy.in_keys, keys.IMAGE_FEATURES)
+    read = frames.select(*(key for key in wanted if key in present))
     with (
         torch.random.fork_rng(),
         torch.no_grad(),

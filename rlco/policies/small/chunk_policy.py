@@ -173,9 +173,12 @@ class ChunkPolicy(TensorDictModuleBase):
     def store_images(self, tensordict: TensorDictBase) -> None:
         """Write what a fixed encoder makes of the present images; else do nothing.
 
-        What the batch holds of an earlier step is replaced, never read.
+        What the batch holds of an earlier step is replaced, never read. Rows without
+        images bring features instead.
         """
-        if self.images_fixed:
+        if self.images_fixed and any(
+            tensordict.get(key, None) is not None for key in self.encoder.image_keys
+        ):
             with torch.no_grad():
                 tensordict.set(IMAGE_FEATURES, self.encoder.image_features(tensordict))
 
