@@ -103,7 +103,7 @@ def labelled_scenes(
     finally:
         views.close()
     rows: TensorDict = torch.cat(parts)
-    return rows[:count].clone()
+    return rows[:count]
 
 
 def _episodes(
