@@ -142,7 +142,7 @@ class RobosuiteBatch:
         with seeded():  # only to restore the generators, whatever the seed
             for number, seed in zip(which.tolist(), seeds, strict=True):
                 source.look_at(self.data[number])
-                source.place(seed)
+                memory.seed[number] = source.place(seed)
                 self._take_over(number)
         if not self.worlds.control.acting.controller_model:
             set_first_matrices(which, self.worlds.control, memory, self.model.qpos0)
