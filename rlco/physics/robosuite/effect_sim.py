@@ -45,7 +45,7 @@ class EffectSim(MjSim):
         controller_sim: The robot's state as its controller observes it; None where that
             is the true state.
         clock: Physics steps since the reset.
-        seed: Of the delays of the episode's commands.
+        seed: Of the random delays of the episode's commands.
     """
 
     def __init__(
@@ -61,13 +61,18 @@ class EffectSim(MjSim):
         self._coulomb = corrected.model.dof_frictionloss.copy()
         self._forces = corrected.forces
         self._reached: Array = np.zeros(corrected.model.nu)
-        self.clock, self.seed = 0, peeked_seed()
+        self._begin()
 
     def reset(self) -> None:
         """Reset simulation."""
         super().reset()
         self.model._model.dof_frictionloss[:] = self._coulomb
-        self.clock, self.seed = 0, peeked_seed()
+        self._begin()
+
+    def _begin(self) -> None:
+        self.clock, self.seed = 0, 0
+        if self.corrected.random_delay.size:
+            self.seed = peeked_seed()
 
     def draw(self, row: int) -> None:
         """Give the simulation a parameter set, from its next reset on.

@@ -29,9 +29,10 @@ def peeked_seed() -> int:
         ...     peeked_seed() == int(np.random.randint(2**32, dtype=np.uint64))
         True
     """
-    generator = np.random.RandomState(0)
-    generator.set_state(np.random.get_state())  # noqa: NPY002
-    return int(generator.randint(2**32, dtype=np.uint64))
+    state = np.random.get_state()  # noqa: NPY002
+    seed = int(np.random.randint(2**32, dtype=np.uint64))  # noqa: NPY002
+    np.random.set_state(state)  # noqa: NPY002
+    return seed
 
 
 @contextmanager

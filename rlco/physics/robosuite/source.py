@@ -18,7 +18,7 @@ from rlco.errors import RlcoError, UnknownNameError
 from rlco.physics.mj.model_struct import array_fields
 from rlco.physics.robosuite.contact_check import ContactCheck
 from rlco.physics.robosuite.fast_reset import FastReset, make_reset_cheap
-from rlco.physics.robosuite.global_random import peeked_seed, seed_all, seeded
+from rlco.physics.robosuite.global_random import seed_all, seeded
 from rlco.physics.robosuite.read_control import refuse_unsupported
 from rlco.physics.robosuite.robosuite_api import (
     NO_CORRUPTION,
@@ -82,7 +82,7 @@ class RobosuiteSource:
         """Make robosuite's code read this state from now on."""
         self.env.sim.data._data = data
 
-    def place(self, seed: int) -> int:
+    def place(self, seed: int) -> None:
         """Start an episode in the current state, which must be the model's default.
 
         Positions are set, but nothing that depends on them is computed.
@@ -90,19 +90,14 @@ class RobosuiteSource:
         Args:
             seed: Of the global generators that robosuite draws from; they are restored
                 afterwards.
-
-        Returns:
-            The seed of the episode's random delays, as `EffectSim` has it.
         """
         seed_all(seed)
-        later = peeked_seed()
         robots = self.env.robots
         self.env.robots = self._robots
         try:
             self.env._reset_internal()
         finally:
             self.env.robots = robots
-        return later
 
     def observe(self, cache: Cache) -> Array:
         """Return the observations of the current state, one row.
