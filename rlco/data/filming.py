@@ -132,7 +132,7 @@ def _film(
     """
     views.start(_ONE, seed, [played.episode])
     rng = np.random.default_rng([seed, played.episode])
-    stage.reset([task.sample(rng, None)])
+    stage.reset([task.initial_state(rng)])
     images: dict[str, list[Images]] = {name: [] for name in views.images}
     for step, action in enumerate(played.action):
         views.draw(_ONE, np.array([step]))

@@ -99,7 +99,7 @@ class TabletopEnv(ChunkEnv):
     def initial_state(self, index: int) -> InitialState:
         """Return how the index-th episode of this environment's seed starts."""
         rng = np.random.default_rng([self._seed, index])
-        return self.task.sample(rng, self._variation)
+        return self.task.initial_state(rng, self._variation)
 
     def _start(self, which: NDArray[np.int64], episodes: list[int]) -> None:
         starts = [self.initial_state(index) for index in episodes]

@@ -81,7 +81,7 @@ def record_arm(
     rng = np.random.default_rng(seed)
     turned = np.array(SPREAD) * rng.uniform(-1.0, 1.0, (tried, 7))
     stepper.reset(
-        [replace(spec.sample(rng, None), joint_position=q) for q in POSTURE + turned]
+        [replace(spec.initial_state(rng), joint_position=q) for q in POSTURE + turned]
     )
     position, torque, free = _move(stepper, round(RATE * seconds), rng)
     # An arm that is nearly stretched shakes, faster than rows can follow.

@@ -36,6 +36,7 @@ EFFECTS = {
     "actuator_lag": effect("actuator_lag", "joint2", time_constant=0.02),
     "torque_limit": effect("torque_limit", "joint2", limit=20.0),
     "command_delay": effect("command_delay", delay=0.13),
+    "random_delay": effect("random_delay", mean=0.13, spread=0.05),
     "joint_offset": effect("joint_offset", "joint4", offset=0.05),
     "encoder_scale": effect("encoder_scale", "joint2", factor=1.06),
     "joint_stiffness": effect("joint_stiffness", "joint4", stiffness=9.0, rest=0.0),

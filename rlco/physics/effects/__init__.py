@@ -18,7 +18,12 @@ from rlco.physics.effects.actuator import (
     TORQUE_BIAS,
     TORQUE_LIMIT,
 )
-from rlco.physics.effects.command import COMMAND_DELAY, CONTROL_RATE, VELOCITY_LIMIT
+from rlco.physics.effects.command import (
+    COMMAND_DELAY,
+    CONTROL_RATE,
+    RANDOM_DELAY,
+    VELOCITY_LIMIT,
+)
 from rlco.physics.effects.contact import CONTACT_FRICTION, CONTACT_STIFFNESS
 from rlco.physics.effects.effect import AppliedEffect, Effect, Evidence, Parameter
 from rlco.physics.effects.friction import (
@@ -87,6 +92,7 @@ _LIBRARY = (
     COGGING,
     HARDENING_SPRING,
     DIRECTIONAL_FRICTION,
+    RANDOM_DELAY,
     TORQUE_SCALE,
     TORQUE_OFFSET,
     SCENE_FRICTION,

@@ -1,11 +1,12 @@
 """Apply effects to a model, to commands, to measurements and to each physics step.
 
 Several effects may act at once, in an order that does not depend on how they are
-listed. A command is read by the controller (`control_rate`), travels (`command_delay`)
-and becomes a joint's goal (`velocity_limit`, `backlash`, `actuator_lag`), which the
-servo compares with the encoder's report (`joint_offset`, `encoder_scale`). Each effect
-declares its position on this path. A measurement inverts the encoder's part. Changes of
-a model follow the library's order, with user-defined effects last.
+listed. A command is read by the controller (`control_rate`), travels (`command_delay`,
+`random_delay`) and becomes a joint's goal (`velocity_limit`, `backlash`,
+`actuator_lag`), which the servo compares with the encoder's report (`joint_offset`,
+`encoder_scale`). Each effect declares its position on this path. A measurement inverts
+the encoder's part. Changes of a model follow the library's order, with user-defined
+effects last.
 """
 
 from __future__ import annotations
@@ -76,7 +77,8 @@ def checked(
     Raises:
         UnknownNameError: If there is no such effect.
         EffectError: If the model has no such target, parameters are missing, unknown
-            or not finite, or one would take away more than the model has.
+            or not finite, one would take away more than the model has, or the effect
+            cannot have them.
     """
     known = library_effect(effect.name)
     allowed = known.targets(model)
@@ -112,7 +114,10 @@ def checked(
                 f"{parameter.after(value):g}, less than none",
                 "give a larger number",
             )
-    return replace(effect, parameters={n: float(effect.parameters[n]) for n in names})
+    found = replace(effect, parameters={n: float(effect.parameters[n]) for n in names})
+    if known.refuse is not None and (why := known.refuse(found.values)) is not None:
+        raise EffectError(effect.name, effect.target, *why)
+    return found
 
 
 def check_of_task(effect: AppliedEffect) -> None:

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from math import ceil
 from pathlib import Path
 from typing import NamedTuple
 
@@ -30,12 +31,15 @@ from rlco.physics.effects.apply import (
     library_effect,
     step_forces,
 )
+from rlco.physics.effects.command import delay_quantiles
+from rlco.physics.effects.effect import ControllerTiming
 from rlco.physics.effects.effects_file import EffectsFile, read_effects
 from rlco.physics.effects.names import in_model
 from rlco.physics.effects.step_forces import StepForces, no_forces
 from rlco.physics.effects.targets import ONE_AXIS
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 Given = str | Path | Sequence[AppliedEffect] | EffectsFile | None
 # Joint commands, which a controller of tool motions does not use.
 _NO_GOAL = "the task's actions move the tool, and its joints have no goals of their own"
@@ -51,6 +55,8 @@ class Acting(NamedTuple):
 
     whole: int  # delay of a command in control steps
     phase: int  # and additional physics steps
+    random: Integers  # equally likely delays besides [physics steps], (Q,); (0,): none
+    room: int  # commands that may be on their way at once
     period: float  # physics steps between two reads of commands; 0: immediately
     controller_model: int  # address of the controller's own model; 0: the same
     reported: Array  # encoder reports: factors and offsets, (2, nq)
@@ -74,6 +80,8 @@ class CorrectedModel:
             (nu,).
         delay: Physics steps between a command and its execution.
         period: Physics steps between two reads of commands; 0: immediately.
+        random_delay: Equally likely delays of which each command has one besides
+            [physics steps], (Q,); (0,): none.
     """
 
     model: mujoco.MjModel
@@ -84,6 +92,7 @@ class CorrectedModel:
     lag: Array
     delay: int
     period: float
+    random_delay: Integers
 
     def reported_speed(self) -> Array:
         """Return the factors of velocities in encoder reports, (nv,)."""
@@ -98,9 +107,15 @@ class CorrectedModel:
     def acting(self, substeps: int) -> Acting:
         """Return values for compiled loops, given physics steps per control step."""
         whole, phase = divmod(self.delay, substeps)
+        room = whole
+        if self.random_delay.size:
+            longest = self.delay + int(self.random_delay.max()) + ceil(self.period)
+            room = longest // substeps + 1
         return Acting(
             whole=whole,
             phase=phase,
+            random=self.random_delay,
+            room=room,
             period=self.period,
             controller_model=0
             if self.controller_model is None
@@ -124,6 +139,7 @@ def without_effects(model: mujoco.MjModel) -> CorrectedModel:
         lag=np.ones(model.nu),
         delay=0,
         period=0.0,
+        random_delay=np.zeros(0, dtype=np.int64),
     )
 
 
@@ -230,6 +246,7 @@ def correct(
         lag=timing.lag,
         delay=round(timing.delay / step),
         period=_period(timing.period / step),
+        random_delay=_random_delay(timing, step),
     )
 
 
@@ -246,6 +263,12 @@ def _no_effects(given: object) -> RlcoError:
         f"effects={given!r} is not allowed; give the path of an effects.yaml, or a "
         "list of AppliedEffect."
     )
+
+
+def _random_delay(timing: ControllerTiming, step: float) -> Integers:
+    if timing.random_variance == 0.0:
+        return np.zeros(0, dtype=np.int64)
+    return delay_quantiles(timing.random_mean, timing.random_variance, step)
 
 
 def _period(steps: float) -> float:

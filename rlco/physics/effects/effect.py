@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rlco.errors import RlcoError, UnknownNameError
 
 Array = NDArray[np.float64]
+Integers = NDArray[np.int64]
 # A force at a joint, as a function that numba compiles: ``law(position, velocity,
 # torque, carried, values)``. `position` [rad or m] and `velocity` are the joint's,
 # `torque` is that of its actuators, and `carried` the magnitude of the torque between
@@ -104,11 +105,16 @@ class ControllerTiming:
         period: Seconds between two reads of commands; 0: immediately.
         lag: Fraction of the distance to its command that an actuator moves in a step,
             (nu,).
+        random_mean: Mean of what each command is late besides, by a time of its own
+            with a gamma distribution [s].
+        random_variance: Its variance [s^2]; 0: none is late besides.
     """
 
     delay: float
     period: float
     lag: Array
+    random_mean: float = 0.0
+    random_variance: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -155,6 +161,8 @@ class Effect:
         candidate: Whether a search tries it; otherwise it acts only where it is given.
         uncommon: Whether a search tries it only where all others leave something; see
             `rlco.gap.search.steps.uncommon`.
+        refuse: ``refuse(values)`` returns why it cannot have these values and what to
+            do, two parts of a sentence, or None where it can.
     """
 
     name: str
@@ -179,6 +187,7 @@ class Effect:
     by_hand: str | None = None
     candidate: bool = True
     uncommon: bool = False
+    refuse: Callable[[Array], tuple[str, str] | None] | None = None
 
     @property
     def acts_on(self) -> frozenset[Site]:

@@ -16,6 +16,7 @@ from rlco.physics.native.effect_kernels import (
     goal_is_due,
     lag_behind,
     observe,
+    send,
     write_friction,
     write_torques,
 )
@@ -204,7 +205,10 @@ def control_step(control: Any, memory: Any, e: int, given: Any, s: Any) -> bool:
     )
     ctrl = doubles(f[CTRL], control.nu)
     qfrc, qm = doubles(observed[BIAS], control.nv), doubles(observed[MASS], control.nm)
-    next_action(memory, e, acting.whole, given, s.action)
+    if acting.random.shape[0]:
+        send(control, memory, e, given)
+    else:
+        next_action(memory, e, acting.whole, given, s.action)
     for step in range(control.substeps):
         # Checked here, not by MuJoCo's warnings: LAPACK rejects NaN.
         if too_large(qpos) or too_large(qvel):

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numba import njit
 
+from rlco.physics.effects.command import newest_arrival
 from rlco.physics.effects.step_forces import set_friction, set_torques
 from rlco.physics.mj.libmujoco import (
     doubles,
@@ -85,6 +86,45 @@ def observe_range(which: Any, control: Any, memory: Any) -> None:
 
 
 @njit(nogil=True, cache=True)
+def send(control: Any, memory: Any, e: int, given: Any) -> None:
+    """Store a command that arrives late by a random time.
+
+    Row i of the world's pending commands has the number `passed` + 1 + i. Before the
+    episode's first command the world was sent zeros, as with a fixed delay.
+    """
+    clock = memory.clock[e]
+    if clock == 0:
+        memory.passed[e] = -control.acting.room
+    number = clock // control.substeps
+    memory.pending[e, number - memory.passed[e] - 1] = given
+
+
+@njit(nogil=True, cache=True)
+def _arrives(control: Any, memory: Any, e: int) -> bool:
+    """Return whether a command arrives that was late by a random time."""
+    acting, clock, pending = control.acting, memory.clock[e], memory.pending[e]
+    before = memory.passed[e]
+    passed, arrived = newest_arrival(
+        acting.random,
+        memory.seed[e],
+        acting.whole * control.substeps + acting.phase,
+        acting.period,
+        control.substeps,
+        clock,
+        before,
+        clock // control.substeps,
+    )
+    if arrived > before:
+        memory.action[e, : pending.shape[1]] = pending[arrived - before - 1]
+    gone = passed - before
+    if gone > 0:
+        for i in range(pending.shape[0] - gone):
+            pending[i] = pending[i + gone]
+        memory.passed[e] = passed
+    return bool(arrived > before)
+
+
+@njit(nogil=True, cache=True)
 def goal_is_due(control: Any, memory: Any, e: int, step: int, action: Any) -> bool:
     """Return whether the controller reads a new command in this physics step.
 
@@ -96,6 +136,8 @@ def goal_is_due(control: Any, memory: Any, e: int, step: int, action: Any) -> bo
         action: The command that arrives in this control step.
     """
     acting, clock = control.acting, memory.clock[e]
+    if acting.random.shape[0]:
+        return _arrives(control, memory, e) or bool(clock == 0)
     if step == acting.phase:
         memory.action[e] = action
         memory.unread[e] = True

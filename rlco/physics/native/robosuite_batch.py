@@ -18,7 +18,7 @@ from rlco.physics.native.kernels import (
 )
 from rlco.physics.native.worlds import Worlds
 from rlco.physics.robosuite.effect_sim import corrected_model_of, drawn_models_of
-from rlco.physics.robosuite.global_random import seeded
+from rlco.physics.robosuite.global_random import peeked_seed, seed_all, seeded
 from rlco.physics.robosuite.read_control import read_control, read_gains
 from rlco.physics.robosuite.source import Cache, RobosuiteSource
 from rlco.physics.spec.control import Array
@@ -142,6 +142,9 @@ class RobosuiteBatch:
         with seeded():  # only to restore the generators, whatever the seed
             for number, seed in zip(which.tolist(), seeds, strict=True):
                 source.look_at(self.data[number])
+                if self.worlds.control_of(number).acting.random.size:
+                    seed_all(seed)
+                    memory.seed[number] = peeked_seed()
                 source.place(seed)
                 self._take_over(number)
         if not self.worlds.control.acting.controller_model:

@@ -174,6 +174,7 @@ class NativeStepper:
         openings = np.array([start.gripper_opening for start in initial])
         robot = self.task.robot
         memory.grip[which] = np.stack([robot.gripper_goal(one) for one in openings])
+        memory.seed[which] = [start.seed for start in initial]
         self.worlds.forget(which)
         # New arrays, because states returned earlier hold views of the old ones.
         self.features, self.goals = self.features.copy(), self.goals.copy()

@@ -51,6 +51,8 @@ class Memory(NamedTuple):
     damping: Array  # (N, D)
     delay: Integers  # of commands beyond the control's own [control steps], (N,)
     pending: Array  # commands given and not yet executed, (N, L, A)
+    passed: Integers  # last command no longer on its way, where delays are random, (N,)
+    seed: Integers  # of the delays of an episode's commands, (N,)
     broken: NDArray[np.bool_]  # diverged: not stepped until reset, (N,)
     fresh: NDArray[np.bool_]  # the next physics step uses the first matrices, (N,)
     first_mass: Array  # (N, n, n), see `set_first_matrices`

@@ -79,7 +79,7 @@ class Worlds:
             self.control = control._replace(acting=acting)
         fingers, pending = (
             control.finger_ctrl.size,
-            longest_delay + control.acting.whole,
+            longest_delay + control.acting.room,
         )
         self.memory = Memory(
             models=np.full(num_envs, self.model._address, dtype=np.int64),
@@ -91,6 +91,8 @@ class Worlds:
             damping=np.tile(gains[1], (num_envs, 1)),
             delay=np.zeros(num_envs, dtype=np.int64),
             pending=np.zeros((num_envs, pending, control.action_size)),
+            passed=np.zeros(num_envs, dtype=np.int64),
+            seed=np.zeros(num_envs, dtype=np.int64),
             broken=np.zeros(num_envs, dtype=np.bool_),
             fresh=np.zeros(num_envs, dtype=np.bool_),
             first_mass=np.zeros((num_envs, control.arm_dof.size, control.arm_dof.size)),
@@ -202,7 +204,7 @@ class Worlds:
                 controller_model=self.control.acting.controller_model
             )
             self._controls[number] = self.control._replace(acting=acting)
-            self._reserve(acting.whole + int(self.memory.delay[number]))
+            self._reserve(acting.room + int(self.memory.delay[number]))
             own = self._own_model(number)
             own.become(drawn.values)
             if acting.forces.friction.rows.size:
@@ -264,6 +266,11 @@ class Worlds:
         stiff = checked_gains("stiffness", stiffness, count, axes, zero=False)
         damp = checked_gains("damping", damping, count, axes, zero=True)
         delay = checked_delay(command_delay, count)
+        if delay is not None and self.control.acting.random.size:
+            raise RlcoError(
+                "command_delay= sets the whole delay of a world, but the domain's "
+                "random_delay draws one for each command; leave out one of them."
+            )
         if values:
             derive = any(map(is_derived_from, values))
             self.patch_model(rows, values, derive=derive)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlco.errors import RlcoError
+from rlco.physics.effects.command import newest_arrival
 from rlco.physics.effects.corrected_model import (
     CorrectedModel,
     PlainModel,
@@ -24,6 +25,7 @@ from rlco.physics.effects.effects_file import EffectsFile
 from rlco.physics.effects.step_forces import set_friction, set_torques
 from rlco.physics.mj.model_struct import ModelValues
 from rlco.physics.robosuite.drawn_models import DrawnModels
+from rlco.physics.robosuite.global_random import peeked_seed
 from rlco.physics.robosuite.robosuite_api import MjSim
 from rlco.physics.spec.sample import Sample
 
@@ -43,6 +45,7 @@ class EffectSim(MjSim):
         controller_sim: The robot's state as its controller observes it; None where that
             is the true state.
         clock: Physics steps since the reset.
+        seed: Of the random delays of the episode's commands.
     """
 
     def __init__(
@@ -58,13 +61,18 @@ class EffectSim(MjSim):
         self._coulomb = corrected.model.dof_frictionloss.copy()
         self._forces = corrected.forces
         self._reached: Array = np.zeros(corrected.model.nu)
-        self.clock = 0
+        self._begin()
 
     def reset(self) -> None:
         """Reset simulation."""
         super().reset()
         self.model._model.dof_frictionloss[:] = self._coulomb
-        self.clock = 0
+        self._begin()
+
+    def _begin(self) -> None:
+        self.clock, self.seed = 0, 0
+        if self.corrected.random_delay.size:
+            self.seed = peeked_seed()
 
     def draw(self, row: int) -> None:
         """Give the simulation a parameter set, from its next reset on.
@@ -195,6 +203,8 @@ class CommandPath:
         self._arrived: Array = np.zeros(0)
         self._unread = False
         self._step = 0
+        # Of commands with random delays: the last that has passed, the last sent.
+        self._passed, self._sent = 0, 0
 
     def __call__(self, action: Array, policy_step: bool = False) -> None:
         """Do what robosuite does, with the command that is due, if there is one."""
@@ -206,27 +216,58 @@ class CommandPath:
             zeros = np.zeros_like(action)
             self._pending = deque([zeros] * acting.whole)
             self._arrived, self._unread = zeros, False
-        if policy_step:
-            self._pending.append(np.array(action, dtype=float))
-            self._arriving = self._pending.popleft()
-            self._step = 0
-        if self._step == acting.phase:
-            self._arrived, self._unread = self._arriving, True
-        due = self._is_due(clock)
+            if acting.random.size:
+                self._pending = deque([zeros] * (acting.room - 1))
+                self._passed, self._sent = -acting.room, -1
+        if acting.random.size:
+            due = self._arrives_at_random(action, policy_step=policy_step)
+        else:
+            due = self._arrives(action, policy_step=policy_step)
+        # A robot holds its position until the first command arrives.
+        due = due or clock == 0
         self._unread = self._unread and not due
         self._control(self._arrived, policy_step=due)
         self._sim.lag_behind()
         self._step += 1
         self._sim.clock += 1
 
-    def _is_due(self, clock: int) -> bool:
-        acting, due = self._acting, self._unread
+    def _arrives(self, action: Array, *, policy_step: bool) -> bool:
+        """Return whether a command is read, where all have one delay."""
+        acting = self._acting
+        if policy_step:
+            self._pending.append(np.array(action, dtype=float))
+            self._arriving = self._pending.popleft()
+            self._step = 0
+        if self._step == acting.phase:
+            self._arrived, self._unread = self._arriving, True
+        due = self._unread
         if acting.period > 0.0:
-            since = clock - acting.whole * self._substeps - acting.phase
+            since = self._sim.clock - acting.whole * self._substeps - acting.phase
             now = np.floor(since / acting.period + 1e-9)
-            due = due and now > np.floor((since - 1) / acting.period + 1e-9)
-        # A robot holds its position until the first command arrives.
-        return bool(due or clock == 0)
+            due = due and bool(now > np.floor((since - 1) / acting.period + 1e-9))
+        return due
+
+    def _arrives_at_random(self, action: Array, *, policy_step: bool) -> bool:
+        """Return whether a command arrives, where each has a delay of its own."""
+        acting, before = self._acting, self._passed
+        if policy_step:
+            self._pending.append(np.array(action, dtype=float))
+            self._sent += 1
+        self._passed, arrived = newest_arrival(
+            acting.random,
+            self._sim.seed,
+            acting.whole * self._substeps + acting.phase,
+            acting.period,
+            self._substeps,
+            self._sim.clock,
+            before,
+            self._sent,
+        )
+        if arrived > before:
+            self._arrived = self._pending[arrived - before - 1]
+        for _ in range(self._passed - before):
+            self._pending.popleft()
+        return bool(arrived > before)
 
 
 def drawn_models_of(sim: MjSim) -> DrawnModels | None:

@@ -19,6 +19,22 @@ def seed_all(seed: int) -> None:
     random.seed(seed)
 
 
+def peeked_seed() -> int:
+    """Return a number that follows from the global generator's state, without a draw.
+
+    It seeds what an episode draws later, and changes nothing that its reset draws.
+
+    Example:
+        >>> with seeded(3):
+        ...     peeked_seed() == int(np.random.randint(2**32, dtype=np.uint64))
+        True
+    """
+    state = np.random.get_state()  # noqa: NPY002
+    seed = int(np.random.randint(2**32, dtype=np.uint64))  # noqa: NPY002
+    np.random.set_state(state)  # noqa: NPY002
+    return seed
+
+
 @contextmanager
 def seeded(seed: int = 0) -> Iterator[None]:
     """Seed the global generators temporarily, and restore them afterwards.

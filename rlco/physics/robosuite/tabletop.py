@@ -162,6 +162,8 @@ class Tabletop(ManipulationEnv):
         super()._reset_internal()
         if self.initial is None:  # robosuite's constructor, before any episode
             return
+        if isinstance(self.sim, EffectSim):
+            self.sim.seed = self.initial.seed
         data, robot = self.sim.data, self.robots[0]
         data.qpos[robot._ref_arm_joint_pos_indexes] = self.initial.joint_position
         kind, opening = self.task.robot, self.initial.gripper_opening

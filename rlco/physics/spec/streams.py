@@ -9,7 +9,8 @@ from enum import IntEnum, unique
 class Stream(IntEnum):
     """What ``default_rng([seed, episode, stream])`` draws.
 
-    How the episode starts is drawn by ``default_rng([seed, episode])``.
+    How the episode starts is drawn by ``default_rng([seed, episode])``, and how late
+    its commands arrive by a child of that.
 
     Attributes:
         NOISE: Errors of its sensors.

@@ -7,7 +7,7 @@ both backends and the expert use the same rules.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -71,6 +71,8 @@ class InitialState:
         joint_opening: Joints of fixtures, shape (J,), [m] or [rad], where the task
             has any.
         gripper_opening: Distance between the fingers at the start [m].
+        seed: Of what is drawn within the episode: how late each command arrives, where
+            the domain has such delays. `Task.initial_state` draws it.
     """
 
     joint_position: Array
@@ -80,6 +82,7 @@ class InitialState:
     goal_quaternion: Array | None = None
     joint_opening: Array | None = None
     gripper_opening: float = 0.0
+    seed: int = 0
 
     def goal_orientation(self) -> Array:
         """Return the goals' quaternions, shape (G, 4)."""
@@ -158,6 +161,17 @@ class Task:
     def action_names(self) -> tuple[str, ...]:
         """Name of each dimension of an action."""
         return self.robot.action_names
+
+    def initial_state(
+        self, rng: np.random.Generator, variation: str | None = None
+    ) -> InitialState:
+        """Return what `sample` draws, with a seed from the same generator.
+
+        The seed shifts none of the generator's draws, before or after.
+        """
+        (child,) = rng.spawn(1)
+        start = self.sample(rng, variation)
+        return replace(start, seed=int(child.integers(2**63)))
 
     def description(self) -> dict[str, Any]:
         """Return what a policy's user must know of the task, in JSON types."""

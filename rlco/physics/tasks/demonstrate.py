@@ -41,7 +41,7 @@ class Demonstration:
         instruction: The instruction's text.
         success: Whether the task was solved at the end.
         episode: Its number: it starts as
-            ``task.sample(default_rng([seed, episode]), None)``.
+            ``task.initial_state(default_rng([seed, episode]))``.
     """
 
     state: Array
@@ -57,7 +57,7 @@ class Episode:
     """One episode of an expert, solved or not.
 
     Attributes:
-        number: It starts as ``task.sample(default_rng([seed, number]), None)``.
+        number: It starts as ``task.initial_state(default_rng([seed, number]))``.
         demonstration: What was recorded.
         stopped: Whether the tool stood still at the end.
     """
@@ -212,7 +212,7 @@ def _batch(
     """Run one episode in each world."""
     count = stepper.num_envs
     rngs = [np.random.default_rng([seed, first + i]) for i in range(count)]
-    state = stepper.reset([task.sample(rng, None) for rng in rngs])
+    state = stepper.reset([task.initial_state(rng) for rng in rngs])
     shape = (task.horizon, len(task.action_names))
     jitter = noise * np.stack([rng.standard_normal(shape) for rng in rngs])
     # Hands shake less in rotation; the gripper is binary.

@@ -65,7 +65,7 @@ def expert_success(
     played = []
     for first in range(0, episodes, count):
         rngs = [np.random.default_rng([seed, first + i]) for i in range(count)]
-        state = stepper.reset([task.sample(rng, variation) for rng in rngs])
+        state = stepper.reset([task.initial_state(rng, variation) for rng in rngs])
         solved = []
         for _ in range(task.horizon):
             action = task.expert(state)

@@ -226,7 +226,7 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise RlcoError(f"options['episode']={episode}; give 0 or more.")
         # The same random streams as in `TabletopEnv`, for the same episodes.
         rng = np.random.default_rng([self._seed, episode])
-        start = self._task.sample(rng, self._variation)
+        start = self._task.initial_state(rng, self._variation)
         noise = np.random.default_rng([self._seed, episode, Stream.NOISE])
         self._noise[:] = noise.standard_normal(self._noise.shape)
         self._episode, self._elapsed, self._diverged = episode + 1, 0, False

@@ -41,5 +41,5 @@ def make_robosuite(
     """
     load_code(effects_code)
     env = Tabletop(make_task(task), make_domain(domain), image_size=image_size)
-    env.start(env.task.sample(np.random.default_rng(seed), None))
+    env.start(env.task.initial_state(np.random.default_rng(seed)))
     return env

@@ -178,6 +178,9 @@ def test_a_delay_is_between_the_torques_clock_and_the_positions() -> None:
     residual = problem.residuals([Hypothesis((delay,))])[0]
     # The last rows have nothing after them to look ahead to.
     assert np.abs(residual[:-6]).max() < 0.02
+    at_random = AppliedEffect("random_delay", None, {"mean": 0.05, "spread": 0.02})
+    late = problem.residuals([Hypothesis((at_random,))])[0]
+    np.testing.assert_array_equal(late, residual)
 
 
 def test_recordings_are_compared_alone_and_in_the_layouts_order() -> None:

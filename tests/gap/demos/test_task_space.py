@@ -212,6 +212,17 @@ def test_between_two_physics_steps_a_delay_is_interpolated() -> None:
     assert np.abs(above - below).max() > 1e-5
 
 
+def test_replayed_commands_are_late_by_the_mean_of_a_random_delay() -> None:
+    late = with_effect("random_delay", None, mean=0.0705, spread=0.02)
+    mean = with_effect("command_delay", None, delay=0.0705)
+    both = plain().residuals([late, mean], recordings=[0])
+    np.testing.assert_array_equal(*both)
+    # As a domain has it, before any hypothesis.
+    (given,) = late.effects
+    acting = Plants(TASK, replace(SIM, effects=(given,))).nominal.control.acting
+    assert (acting.whole, acting.phase, acting.random.size) == (1, 10, 0)
+
+
 @pytest.mark.parametrize(
     "hypothesis",
     [

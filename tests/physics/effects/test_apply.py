@@ -205,7 +205,7 @@ def test_an_effect_that_only_a_domain_needs_is_not_searched() -> None:
 def test_what_an_effect_acts_on_follows_from_what_it_declares() -> None:
     found = {name: set(known.acts_on) for name, known in EFFECTS.items()}
     assert found["viscous_damping"] == {"model"}
-    assert found["command_delay"] == {"command"}
+    assert found["command_delay"] == found["random_delay"] == {"command"}
     assert found["backlash"] == {"goal"}
     assert found["joint_offset"] == {"reading"}
     assert found["drive_loss"] == {"step"}

@@ -56,8 +56,8 @@ def test_the_names_are_those_that_reports_use() -> None:
     assert {effect.name for effect in EFFECTS.values() if effect.candidate} == _NAMES
     of_tasks = {"scene_friction", "scene_mass", "fixture_friction"}
     calibrated = {"link_parameters", "torque_scale", "torque_offset"}
-    others = of_tasks | calibrated | {"controller_stiffness", "directional_friction"}
-    assert set(EFFECTS) == _NAMES | others
+    given = {"controller_stiffness", "directional_friction", "random_delay"}
+    assert set(EFFECTS) == _NAMES | of_tasks | calibrated | given
 
 
 @pytest.mark.slow

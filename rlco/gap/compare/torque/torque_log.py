@@ -39,7 +39,7 @@ from rlco.gap.prune import prune
 from rlco.physics.effects import AppliedEffect, Effect, searched
 from rlco.physics.effects.actuator import ACTUATOR_GAIN
 from rlco.physics.effects.apply import apply_to_spec, step_forces, true_positions
-from rlco.physics.effects.command import COMMAND_DELAY
+from rlco.physics.effects.command import COMMAND_DELAY, RANDOM_DELAY
 from rlco.physics.effects.link_parameters import TORQUE_OFFSET, TORQUE_SCALE
 from rlco.physics.effects.step_forces import Laws, law_along
 from rlco.physics.effects.targets import actuator_of, dof_of, driven_joints
@@ -203,7 +203,7 @@ class TorqueLog(Problem):
                 bias, gain = _changed_drive(self.model, model, actuator)
                 torque[:, column] = (torque[:, column] - bias) / gain
         for applied in hypothesis.effects:
-            if applied.name == COMMAND_DELAY.name:
+            if applied.name in (COMMAND_DELAY.name, RANDOM_DELAY.name):
                 torque = _ahead(motion, torque, float(applied.values[0]))
         return self._as_reported(torque, reported)
 

@@ -13,6 +13,7 @@ from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.logs.log import Array
 from rlco.gap.prune import prune
 from rlco.physics.effects.apply import checked
+from rlco.physics.effects.command import at_mean_delay
 from rlco.physics.effects.corrected_model import CorrectedModel, correct
 from rlco.physics.effects.names import in_model
 from rlco.physics.native.kernels import Tracked
@@ -126,7 +127,9 @@ class Plants:
             plain = _compiled(spec)
             stiffer = 1.0 + parts["controller stiffness"]
             stiffness, damping = stiffness * stiffer, damping * np.sqrt(stiffer)
-        corrected = correct(spec, plain, [*self._effects, *hypothesis.effects])
+        # Nobody knows when a recorded command arrived: all come late by the mean.
+        effects = map(at_mean_delay, (*self._effects, *hypothesis.effects))
+        corrected = correct(spec, plain, list(effects))
         corrected.model.opt.disableflags |= _NO_RESET
         bodies = integers([corrected.model.body(name).id for name in self._bodies])
         return Plant(

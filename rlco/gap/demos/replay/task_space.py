@@ -32,7 +32,7 @@ from rlco.gap.demos.replay.rollouts import ROWS, Job, Rollouts
 from rlco.gap.demos.replay.tracks import Track, Tracker, robot_geoms
 from rlco.gap.logs.log import Array, Log, Recording
 from rlco.physics.effects import AppliedEffect, Effect, searched
-from rlco.physics.effects.command import COMMAND_DELAY
+from rlco.physics.effects.command import COMMAND_DELAY, RANDOM_DELAY
 from rlco.physics.spec.domain import GivenDomain, make_domain
 from rlco.physics.spec.names import ACTION_NAMES
 from rlco.physics.spec.task import Task
@@ -283,7 +283,7 @@ class TaskSpaceProblem(Problem):
         """
         step = float(self.model.opt.timestep)
         for index, effect in enumerate(hypothesis.effects):
-            if effect.name != COMMAND_DELAY.name:
+            if effect.name not in (COMMAND_DELAY.name, RANDOM_DELAY.name):
                 continue
             steps = float(effect.values[0]) / step
             below = np.floor(steps)
@@ -292,7 +292,7 @@ class TaskSpaceProblem(Problem):
                 (1.0 - steps + below, below),
                 (steps - below, below + 1),
             ):
-                late = AppliedEffect(effect.name, None, {"delay": whole * step})
+                late = AppliedEffect(COMMAND_DELAY.name, None, {"delay": whole * step})
                 effects = list(hypothesis.effects)
                 effects[index] = late
                 out.append((weight, replace(hypothesis, effects=tuple(effects))))
