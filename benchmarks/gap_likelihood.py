@@ -33,6 +33,7 @@ _VERY_STRONG = 10.0
 # Times act in whole steps here: no slope to follow.
 _AS_ANSWERED = ("command_delay", "control_rate")
 _EVALUATIONS = 8
+_DIVERGED = np.pi  # root mean square [rad]
 
 
 def evidence(logged: Logged, named: Sequence[Row], truth: Row) -> dict[str, float]:
@@ -45,7 +46,8 @@ def evidence(logged: Logged, named: Sequence[Row], truth: Row) -> dict[str, floa
 
     Returns:
         ``evidence``, which is large where the hidden effects do better held out, and
-        ``numbers``, how many were compared.
+        ``numbers``, how many were compared. Empty where the plant diverges with what
+        was named, as with a spring too stiff for its steps: that is no evidence.
     """
     _, held = split(len(logged.positions))
     hidden = hidden_of(truth["effects"])
@@ -53,6 +55,8 @@ def evidence(logged: Logged, named: Sequence[Row], truth: Row) -> dict[str, floa
         residual(logged, effects, held, parts=True) ** 2
         for effects in (refitted(logged, named), hidden)
     ]
+    if not sums[0].mean() < _DIVERGED**2:
+        return {}
     variance = truth["noise"] ** 2 + truth["quantum"] ** 2 / 12
     ratio = (sums[0].sum() - sums[1].sum()) / variance
     return {"evidence": float(ratio), "numbers": len(sums[1])}

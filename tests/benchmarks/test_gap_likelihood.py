@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import gap_cases
@@ -66,6 +67,16 @@ def test_another_effect_at_the_joint_is_refuted(case: tuple[Logged, Row]) -> Non
     logged, truth = case
     friction = [answer("coulomb_friction", "joint1", frictionloss=0.05)]
     assert distinguishable(evidence(logged, friction, truth))
+
+
+def test_a_plant_that_diverges_is_no_evidence(
+    case: tuple[Logged, Row], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)  # MuJoCo writes its warnings to a file there
+    logged, truth = case
+    rigid = answer("joint_compliance", "joint1", compliance=1e-5)
+    assert evidence(logged, [rigid], truth) == {}
+    assert distinguishable({}) is None
 
 
 def test_a_named_cogging_is_two_waves() -> None:
