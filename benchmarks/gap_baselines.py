@@ -74,22 +74,53 @@ def left(logged: Logged, effects: Sequence[Hidden], recordings: Sequence[int]) -
 
 
 def residual(
-    logged: Logged, effects: Sequence[Hidden], recordings: Sequence[int]
+    logged: Logged,
+    effects: Sequence[Hidden],
+    recordings: Sequence[int],
+    parts: bool = False,
 ) -> Array:
-    """Return measured minus simulated positions, (rows,) [rad]."""
+    """Return measured minus simulated positions, (rows,) [rad].
+
+    Args:
+        logged: The case.
+        effects: What acts.
+        recordings: Which of them.
+        parts: Whether a command may arrive within a step, as one that is late by a part
+            of a step.
+    """
     plant, random = make_plant(logged.xml, effects), np.random.default_rng(0)
-    rows = [
-        logged.positions[i]
-        - record(plant, logged.commands[i], logged.fps, random).position
-        for i in recordings
-    ]
+    rows = []
+    for i in recordings:
+        sent = logged.commands[i]
+        times = np.arange(len(sent)) / logged.fps if parts else None
+        recorded = record(plant, sent, logged.fps, random, times=times)
+        rows.append(logged.positions[i] - recorded.position)
     return np.concatenate([row.ravel() for row in rows])
 
 
 def hidden_of(effects: Sequence[Mapping[str, Any]]) -> tuple[Hidden, ...]:
     """Return effects that the plant can have, from a truth's or a report's rows."""
     return tuple(
-        Hidden(row["name"], row["target"], row["parameters"]) for row in effects
+        part
+        for row in effects
+        for part in _as_hidden(Hidden(row["name"], row["target"], row["parameters"]))
+    )
+
+
+def _as_hidden(named: Hidden) -> tuple[Hidden, ...]:
+    """Return a named effect as the plant's: a search's cogging is two ripples."""
+    if "second_sine" not in named.parameters:
+        return (named,)
+    sine, cosine = named["second_sine"], named["second_cosine"]
+    count, phase = named["count"], named["phase"]
+    first = {"amplitude": named["amplitude"], "count": count, "phase": phase}
+    second = {
+        "amplitude": float(np.hypot(sine, cosine)),
+        "count": 2.0 * count,
+        "phase": 2.0 * phase + float(np.arctan2(cosine, sine)),
+    }
+    return tuple(
+        Hidden("torque_ripple", named.target, wave) for wave in (first, second)
     )
 
 

@@ -25,7 +25,15 @@ from gap_folders import write_case
 from gap_motions import MOTIONS, Motion, commands
 from gap_plant import Hidden, make_plant
 from gap_recording import Recorded, read_out, record
-from gap_sizes import IN_LIBRARY, OUTSIDE, UNCOMMON, Usual, draw, usual
+from gap_sizes import (
+    IN_LIBRARY,
+    OUTSIDE,
+    OUTSIDE_AT_JOINT,
+    UNCOMMON,
+    Usual,
+    draw,
+    usual,
+)
 
 DEVELOPMENT_SEED, BENCHMARK_SEED = 0, 11000
 # An effect at another joint is drawn where one shows too little.
@@ -44,7 +52,9 @@ class Case:
         name: Of its folder.
         group: ``none``, ``single``, ``pair``, ``triple``, ``outside``, or one of them
             with ``_hard`` or ``_demo``; ``leave_out`` where a search has to do without
-            the very effect; ``uncommon``.
+            the very effect; ``uncommon``; ``beside``, one effect of the library and one
+            outside it; ``four``; ``hobby_single`` and ``hobby_pair``; ``late``,
+            commands that arrive late at random.
         arm: One of `gap_arms.ARMS`.
         motion: One of `gap_motions.MOTIONS`.
         effects: Names of what is hidden.
@@ -69,7 +79,7 @@ def plan(first_seed: int, groups: Sequence[str] = ()) -> list[Case]:
     Example:
         >>> cases = plan(0)
         >>> len(cases), len({case.name for case in cases})
-        (299, 299)
+        (409, 409)
     """
     cases = list(_cases(first_seed))
     return [case for case in cases if not groups or case.group in groups]
@@ -86,9 +96,11 @@ def _cases(first_seed: int) -> Iterator[Case]:
         effects: tuple[str, ...],
         severity: float = 1.0,
         exclude: tuple[str, ...] = (),
+        arm: str | None = None,
     ) -> Case:
-        robots = large if len(effects) > 1 or "gravity_tilt" in effects else arms
-        arm, number = next(robots), next(seed)
+        whole = {"gravity_tilt", "random_delay"} & {*effects}
+        robots = large if len(effects) > 1 or whole else arms
+        arm, number = arm or next(robots), next(seed)
         name = f"{group}_{arm}_{number}"
         return Case(name, group, arm, motion, effects, severity, number, exclude)
 
@@ -118,6 +130,24 @@ def _cases(first_seed: int) -> Iterator[Case]:
         yield case("leave_out", "excite", (name,), 1.0, (name,))
     for name in islice(cycle(UNCOMMON), 50):
         yield case("uncommon", "excite", (name,))
+    # Groups that came later draw from a generator of their own.
+    random = np.random.default_rng([first_seed, 1])
+
+    def drawn(names: Sequence[str], count: int) -> tuple[str, ...]:
+        return tuple(map(str, random.choice(names, count, replace=False)))
+
+    for _ in range(40):
+        pair = (*drawn(IN_LIBRARY, 1), *drawn(OUTSIDE_AT_JOINT, 1))
+        yield case("beside", "excite", pair)
+    for _ in range(20):
+        yield case("four", "excite", drawn(IN_LIBRARY, 4))
+    for name in drawn(IN_LIBRARY, 20):
+        yield case("hobby_single", "hobby", (name,), arm="so101")
+    for _ in range(20):
+        yield case("hobby_pair", "hobby", drawn(IN_LIBRARY, 2), arm="so101")
+    for motion in ("excite", "demo"):
+        for _ in range(5):
+            yield case("late", motion, ("random_delay",))
 
 
 def make_case(case: Case, folder: Path) -> dict[str, Any]:
@@ -260,6 +290,9 @@ def _truth(
             row["outside"] = True
         row |= {"parameters": numbers, "shows": round(min(seen, 1e6), 2)}
         effects.append(row)
+    # Whether what is outside the library acts where what is in it does.
+    targets = [row["target"] for row in effects]
+    together = {"same_joint": len({*targets}) == 1} if case.group == "beside" else {}
     facts = asdict(motion)
     keys = ("velocity", "noise", "quantum", "episodes", "jitter", "fps")
     return {
@@ -269,6 +302,7 @@ def _truth(
         **{key: facts[key] for key in keys},
         "motion": motion.name,
         "group": case.group,
+        **together,
         "severity": case.severity,
         "exclude": list(case.exclude),
         "invisible": [e["name"] for e in effects if e["shows"] < _VISIBLE],

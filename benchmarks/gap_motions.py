@@ -17,7 +17,7 @@ class Motion:
     """How recordings of one kind are made.
 
     Attributes:
-        name: ``excite``, ``reach`` or ``demo``.
+        name: ``excite``, ``reach``, ``demo`` or ``hobby``.
         fps: Frames a second [1/s].
         episodes: Recordings of a case.
         frames: Frames of each.
@@ -42,6 +42,8 @@ MOTIONS = {
     "excite": Motion("excite", 50, 10, 300, True, 4e-4, 0.0, 0.0),
     "reach": Motion("reach", 50, 8, 300, False, 3e-4, ENCODER_STEP, 0.03),
     "demo": Motion("demo", 30, 10, 240, False, 3e-4, ENCODER_STEP, 0.0),
+    # Reaches as LeRobot records them of a hobby arm.
+    "hobby": Motion("hobby", 30, 10, 300, False, 3e-4, ENCODER_STEP, 0.03),
 }
 
 
@@ -55,7 +57,7 @@ def commands(arm: Arm, motion: Motion, random: Random) -> Array:
         ]
         return arm.home + np.stack(columns, axis=1)
     start = arm.home + random.uniform(-0.1, 0.1, len(arm.home)) * arm.sweep
-    if motion.name == "reach":
+    if motion.name in ("reach", "hobby"):
         moves = _moves(time, 0.75 * arm.sweep, (1.0, 2.0), (0.3, 0.8), random)
         return start + moves
     moves = _moves(time, 0.6 * arm.sweep, (1.5, 3.0), (0.3, 1.5), random)

@@ -1,4 +1,4 @@
-"""How well hidden effects are named: 299 cases of our own making, and others' answers.
+"""How well hidden effects are named: 409 cases of our own making, and others' answers.
 
     python benchmarks/gap_naming.py out=outputs/gap_naming            # ten minutes
     python benchmarks/gap_naming.py out=outputs/gap_naming all=true   # everything
@@ -33,6 +33,7 @@ from typing import Any
 
 from gap_baselines import NAIVE, hidden_of, left, naive, read_case, split
 from gap_cases import BENCHMARK_SEED, Case, make_case, plan
+from gap_likelihood import evidence
 from gap_scoring import Answered, judge, table
 from timed_process import run_timed
 
@@ -138,6 +139,8 @@ def search(folder: Path) -> Row:
         ]
         _, held = split(len(logged.positions))
         done["left"] = left(logged, hidden_of(named), held)
+    if "failed" not in done and truth["group"] == "leave_out":
+        done |= evidence(read_case(folder), done["effects"], truth)
     return {"name": folder.name, **done}
 
 

@@ -13,7 +13,7 @@ import mujoco
 import numpy as np
 from gap_arms import Array
 from gap_motions import Motion
-from gap_plant import Plant
+from gap_plant import Hidden, Plant
 
 Random = np.random.Generator
 
@@ -43,8 +43,9 @@ def goals(
     """Return what reaches each servo at each physics step, (steps, joints) [rad].
 
     Commands are sent at `fps`, or at these times [s], and held. On their way, in this
-    order: some are lost, they are late, read once a period, limited in speed, smoothed,
-    and at last the transmission's play and the encoder's zero and scale come between.
+    order: some are lost, each is late by its own time, all by one, read once a period,
+    limited in speed, smoothed, and at last the transmission's play and the encoder's
+    zero and scale come between.
     """
     step = plant.model.opt.timestep
     time = step * np.arange(int(np.ceil(len(commands) / fps / step - 1e-6)) + 1)
@@ -59,6 +60,9 @@ def goals(
         sent = np.floor(sent / effect["period"] + 1e-6) * effect["period"]
     for effect in plant.of("command_delay"):
         sent = sent - effect["delay"]
+    for effect in plant.of("random_delay"):
+        at = np.arange(len(commands)) / fps if times is None else times
+        times = _arrivals(at, effect, random)
     if times is None:
         frames = np.floor(sent * fps + 1e-6).astype(int)
         goal = commands[np.clip(frames, 0, len(commands) - 1)].astype(float)
@@ -85,6 +89,17 @@ def goals(
             if effect.target == joint and effect.name == "joint_offset":
                 goal[:, column] -= effect["offset"]
     return goal
+
+
+def _arrivals(sent: Array, effect: Hidden, random: Random) -> Array:
+    """Return when each message arrives, late by a gamma-distributed time, (sent,) [s].
+
+    A gamma distribution of shape k and scale s has mean k s and variance k s^2. The
+    order is kept, as in one stream: a message waits for those sent before it.
+    """
+    mean, spread = effect["mean"], effect["spread"]
+    late = random.gamma((mean / spread) ** 2, spread**2 / mean, len(sent))
+    return np.asarray(np.maximum.accumulate(sent + late))
 
 
 def _limit_speed(goal: Array, largest: float) -> None:

@@ -3,7 +3,8 @@
 `exact` and `fine` follow the rules that score one case at a time: an effect is right
 where name and place are, `exact` asks for all of them and no other, `fine` also takes
 a class of at most three that is said to be ambiguous. What does not show at all in the
-data need not be named, and may be.
+data need not be named, and may be. Where one effect of the library acts beside one
+outside it, the first has to be named, and the other reported at its joint.
 """
 
 from __future__ import annotations
@@ -12,6 +13,8 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from statistics import median
 from typing import Any
+
+from gap_likelihood import distinguishable
 
 from rlco.reporting.statistics import wilson_interval
 
@@ -37,7 +40,8 @@ class Score:
     """One answer, judged.
 
     Attributes:
-        exact: All that was hidden was named, and nothing else.
+        exact: All that was hidden was named, and nothing else; and what is outside the
+            library beside it has a free form at its joint.
         fine: Exact, or within a class of at most three that is said to be ambiguous.
         abstains: It names nothing.
         warns: It names nothing, says that a part of the gap stays unexplained, or
@@ -49,6 +53,9 @@ class Score:
         wrong: Number of wrong names.
         errors: Relative error of each right effect's first number.
         covered: Whether each number of the right effects is within its interval.
+        named: All of the library that was hidden was named, and nothing else.
+        form: A free form is drawn at the joint of what is outside the library.
+        remains: Most of what stays unexplained is at that joint.
     """
 
     exact: bool
@@ -62,13 +69,19 @@ class Score:
     wrong: int
     errors: tuple[float, ...]
     covered: tuple[bool, ...]
+    named: bool
+    form: bool
+    remains: bool
 
 
 def judge(report: Row, truth: Row) -> Score:
     """Judge a report (the content of ``report.json``) against a truth."""
     effects = report["effects"]
-    unknown = any(e.get("outside") for e in truth["effects"]) or truth["exclude"]
-    hidden = [e for e in truth["effects"] if e["name"] not in truth["invisible"]]
+    visible = [e for e in truth["effects"] if e["name"] not in truth["invisible"]]
+    beside = _beside_outside(truth)
+    unknown = truth["exclude"] or any(e.get("outside") for e in truth["effects"])
+    hidden = [e for e in visible if not (beside and e.get("outside"))]
+    joints = {e["target"] for e in visible if e.get("outside")}
     hits = [any(same(a, e) for a in effects) for e in hidden]
     extra = [a for a in effects if not any(same(a, e) for e in truth["effects"])]
     rivals = [
@@ -76,22 +89,30 @@ def judge(report: Row, truth: Row) -> Score:
         for hit, e in zip(hits, hidden, strict=True)
     ]
     abstains = not effects
-    if unknown:
+    named = all(hits) and not extra
+    unexplained = report.get("unexplained") or {}
+    form, remains = (
+        not joints or target in joints
+        for target in (report.get("outside"), unexplained.get("target"))
+    )
+    if beside:
+        exact = named and form
+    elif unknown:
         quiet = _readable(truth) and report["verdict"] in _QUIET
         exact = abstains and (report["verdict"] == "unexplained" or quiet)
     elif not hidden:
         quiet = abstains and report["verdict"] in _QUIET
         exact = quiet or bool(effects and not extra)
     else:
-        exact = all(hits) and not extra
+        exact = named
     ambiguous = report["verdict"] == "ambiguous"
     in_class = ambiguous and all(rivals) and len(effects) == len(hidden) > 0
-    share = (report.get("unexplained") or {}).get("share") or 0.0
+    share = unexplained.get("share") or 0.0
     warns = abstains or share > _TOLD_SHARE or bool(report.get("doubts"))
     right = [(a, e) for e in truth["effects"] for a in effects if same(a, e)]
     return Score(
         exact=exact,
-        fine=exact or (in_class and not unknown),
+        fine=exact or (in_class and (form if beside else not unknown)),
         abstains=abstains,
         warns=warns,
         confident_wrong=bool(extra) and not ambiguous and not warns,
@@ -104,7 +125,15 @@ def judge(report: Row, truth: Row) -> Score:
         wrong=len(extra),
         errors=tuple(x for a, e in right if (x := _error(a, e)) is not None),
         covered=tuple(inside for a, e in right for inside in _covered(a, e)),
+        named=named,
+        form=form,
+        remains=remains,
     )
+
+
+def _beside_outside(truth: Row) -> bool:
+    """Return whether some effects are of the library and others outside it."""
+    return len({bool(e.get("outside")) for e in truth["effects"]}) == 2
 
 
 def _readable(truth: Row) -> bool:
@@ -231,6 +260,10 @@ def _details(rows: Sequence[Answered]) -> str:
         lacks = [any(e.get("outside") for e in r.truth["effects"]) for r in rows]
         return share_of([test(r.score) for r, x in zip(rows, lacks, strict=True) if x])
 
+    def wrong_left_out(distinct: bool) -> str:
+        rows = [r for r in of("leave_out") if distinguishable(r.result) is distinct]
+        return share_of([row.score.confident_wrong for row in rows])
+
     singles = of("single")
     hard = ("single_hard", "pair_hard", "triple_hard")
     named = ("single", "single_hard", "pair", "triple", "pair_hard", "triple_hard")
@@ -260,6 +293,10 @@ def _details(rows: Sequence[Answered]) -> str:
         ),
         ("pairs exact", rate(["pair"], lambda s: s.exact), "92 %"),
         ("triples exact", rate(["triple"], lambda s: s.exact), "80 %"),
+        ("four at once: exact", rate(["four"], lambda s: s.exact), "60 %"),
+        ("hobby arm: singles exact", rate(["hobby_single"], lambda s: s.exact), "90 %"),
+        ("hobby arm: pairs exact", rate(["hobby_pair"], lambda s: s.exact), "75 %"),
+        ("late at random: exact", rate(["late"], lambda s: s.exact), "90 %"),
         ("hard, all sizes: exact", rate(hard, lambda s: s.exact), ""),
         ("false alarms without a gap", rate(nothing, lambda s: s.wrong > 0), "3 %"),
         ("outside the library: abstains", unknown(lambda s: s.abstains), ""),
@@ -268,6 +305,22 @@ def _details(rows: Sequence[Answered]) -> str:
             "outside: wrong without a warning",
             unknown(lambda s: s.confident_wrong),
             "5 %",
+        ),
+        ("one beside one outside: named", rate(["beside"], lambda s: s.named), ""),
+        (
+            "one beside one outside: free form at its joint",
+            rate(["beside"], lambda s: s.form),
+            "",
+        ),
+        (
+            "one beside one outside: what stays unexplained at its joint",
+            rate(["beside"], lambda s: s.remains),
+            "",
+        ),
+        (
+            "one beside one outside: named, and free form at its joint",
+            rate(["beside"], lambda s: s.exact),
+            "80 %",
         ),
         ("uncommon effects: exact", rate(["uncommon"], lambda s: s.exact), "90 %"),
         (
@@ -278,6 +331,16 @@ def _details(rows: Sequence[Answered]) -> str:
         (
             "one effect left out: wrong without a warning",
             rate(["leave_out"], lambda s: s.confident_wrong),
+            "",
+        ),
+        (
+            "one effect left out, not distinguishable: wrong without a warning",
+            wrong_left_out(distinct=False),
+            "",
+        ),
+        (
+            "one effect left out, distinguishable: wrong without a warning",
+            wrong_left_out(distinct=True),
             "5 %",
         ),
         ("intervals (90 %) that hold the value", share_of(within), "85-95 %"),

@@ -55,8 +55,10 @@ OUTSIDE = (
     "repeated_frames",
     "finer_steps",
 )
+#: Of `OUTSIDE`, what acts at one joint as a torque or a position, and is in no library.
+OUTSIDE_AT_JOINT = ("encoder_eccentricity", "slow_drift", "external_push")
 _WHOLE_ROBOT = ("command_delay", "gravity_tilt", "control_rate")
-_WHOLE_ROBOT += ("dropped_commands", "repeated_frames", "finer_steps")
+_WHOLE_ROBOT += ("dropped_commands", "repeated_frames", "finer_steps", "random_delay")
 
 
 @dataclass(frozen=True)
@@ -99,10 +101,10 @@ def draw(name: str, arm: Arm, used: Usual, severity: float, random: Random) -> H
     """Return an effect of a typical size at a random place.
 
     Args:
-        name: One of `IN_LIBRARY`, `UNCOMMON` or `OUTSIDE`.
+        name: One of `IN_LIBRARY`, `UNCOMMON` or `OUTSIDE`, or ``random_delay``.
         arm: The robot.
         used: What the motion asks of it.
-        severity: 1 for the typical size.
+        severity: 1 for the typical size; a random delay has its own.
         random: Decides on the place, the sign and a third of the size.
     """
     outside = name in OUTSIDE and name not in UNCOMMON
@@ -162,6 +164,9 @@ def _numbers(
             return {"limit": part * float(used.fast[column])}
         case "command_delay":
             return {"delay": _whole_steps(0.03 * size)}
+        case "random_delay":
+            mean = random.uniform(0.005, 0.030)
+            return {"mean": mean, "spread": mean * random.uniform(0.4, 1.0)}
         case "joint_offset":
             return {"offset": sign * 0.05 * size}
         case "encoder_scale":

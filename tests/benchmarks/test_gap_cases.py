@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +15,7 @@ from gap_arms import Array, make_arm
 from gap_baselines import hidden_of, left, read_case
 from gap_motions import MOTIONS, commands
 from gap_plant import Hidden, make_plant
-from gap_recording import goals, record
+from gap_recording import _arrivals, goals, record
 from gap_sizes import IN_LIBRARY, draw, usual
 
 from rlco.gap.compare.arm.rollouts import ArmRollouts
@@ -136,6 +137,44 @@ def test_commands_on_their_way_by_hand() -> None:
     assert lag[19] == pytest.approx(1 - np.exp(-1.0))  # ten steps are 20 ms
 
 
+def test_messages_that_arrive_late_at_random() -> None:
+    late = one("random_delay", None, mean=0.02, spread=0.01)
+    # So far apart that none waits for another.
+    sent_at = 10.0 * np.arange(20_000)
+    times = _arrivals(sent_at, late, nobody()) - sent_at
+    assert times.min() > 0
+    # The mean's standard error is 0.01 / sqrt(20000) = 7e-5, the other's about that.
+    assert times.mean() == pytest.approx(0.02, abs=4e-4)
+    assert times.std() == pytest.approx(0.01, abs=4e-4)
+    # A gamma distribution's skewness is twice its spread over its mean.
+    skewness = np.mean((times - times.mean()) ** 3) / times.std() ** 3
+    assert skewness == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_message_waits_for_those_before_it() -> None:
+    late = one("random_delay", None, mean=0.03, spread=0.03)
+    sent_at = 0.005 * np.arange(500)
+    arrived = _arrivals(sent_at, late, nobody())
+    own = sent_at + nobody().gamma(1.0, 0.03, 500)
+    # Some are overtaken, and wait for the latest of those before them.
+    waits = arrived > own
+    assert 0.2 < waits.mean() < 0.9
+    assert (np.diff(arrived) >= 0).all()
+    assert np.isin(arrived[waits], own).all()
+    # One message carries all joints: their goals change at once.
+    rows = np.linspace(0.0, 1.0, 500)[:, None] * np.array([1.0, 2.0, -3.0])
+    goal = goals(make_plant(ARM3.xml, [late]), rows, 200, nobody())
+    np.testing.assert_allclose(goal[:, 1:], goal[:, :1] * [2.0, -3.0], atol=1e-12)
+    assert (np.diff(goal[:, 0]) >= -1e-12).all()
+
+
+def test_a_spread_of_nearly_nothing_is_a_delay() -> None:
+    rows = np.array([[0.0], [1.0], [1.0], [0.0]])
+    late = one("random_delay", None, mean=0.006, spread=1e-6)
+    goal = goals(make_plant(SERVO.xml, [late]), rows, 50, nobody())[:, 0]
+    assert [goal[12], goal[13]] == [0.0, pytest.approx(1.0, abs=0.1)]
+
+
 def test_encoder_offset_of_a_vertical_joint_cannot_be_seen() -> None:
     rows = sent()
     plain = record(make_plant(ARM3.xml, ()), rows, 50, nobody()).position
@@ -173,6 +212,24 @@ def test_the_truth_leaves_nothing_but_noise(tmp_path: Path) -> None:
         truth["noise"], rel=0.1
     )
     assert left(logged, (), [2]) > 5 * truth["noise"]
+
+
+@pytest.mark.usefixtures("short")
+def test_one_beside_one_outside_says_where_each_acts(tmp_path: Path) -> None:
+    wanted = ("coulomb_friction", "slow_drift")
+    for arm, together in (("servo", True), ("panda", False)):
+        case = gap_cases.Case("x", "beside", arm, "excite", wanted, 1.0, 4)
+        truth = gap_cases.make_case(case, tmp_path / arm)
+        targets = [effect["target"] for effect in truth["effects"]]
+        assert [e.get("outside", False) for e in truth["effects"]] == [False, True]
+        assert truth["same_joint"] is (targets[0] == targets[1]) is together
+
+
+def test_groups_added_later_leave_the_earlier_cases_as_they_were() -> None:
+    # Finished results name them: their arms, effects and seeds must not change.
+    rows = "\n".join(map(repr, gap_cases.plan(11000)[:299]))
+    digest = "2ae607ea8f2b6bac665bba55458fd14c5b358b07929e98bb0659e7e26031eca2"
+    assert hashlib.sha256(rows.encode()).hexdigest() == digest
 
 
 def test_jitter_is_a_scatter_of_every_number() -> None:

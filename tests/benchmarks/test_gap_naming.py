@@ -9,7 +9,7 @@ from typing import Any
 import gap_naming
 import pytest
 from gap_cases import plan
-from gap_scoring import judge
+from gap_scoring import Answered, judge, table
 
 Row = dict[str, Any]
 
@@ -79,6 +79,50 @@ def test_outside_the_library_only_silence_is_right() -> None:
     assert (named.exact, named.warns, named.confident_wrong) == (False, False, True)
     warned = judge(report("named", told("backlash"), share=0.4), outside)
     assert (warned.exact, warned.warns, warned.confident_wrong) == (False, True, False)
+
+
+def test_beside_one_outside_each_has_to_be_found() -> None:
+    drift = {**hidden("slow_drift", "joint3"), "outside": True}
+    both = truth(COULOMB, drift)
+    found = report("named", told("coulomb_friction"), share=0.3)
+    found["unexplained"]["target"] = "joint2"
+    right = judge({**found, "outside": "joint3"}, both)
+    assert (right.exact, right.named, right.form, right.remains) == (
+        True,
+        True,
+        True,
+        False,
+    )
+    elsewhere = judge({**found, "outside": "joint2"}, both)
+    assert (elsewhere.exact, elsewhere.named, elsewhere.form) == (False, True, False)
+    silent = judge({**report("unexplained"), "outside": "joint3"}, both)
+    assert (silent.exact, silent.named, silent.form) == (False, False, True)
+    more = report("named", told("coulomb_friction"), told("backlash"))
+    extra = judge({**more, "outside": "joint3"}, both)
+    assert (extra.exact, extra.named, extra.wrong) == (False, False, 1)
+    # What does not show need not be reported.
+    faint = truth(COULOMB, drift, invisible=["slow_drift"])
+    assert judge(found, faint).exact
+
+
+def test_a_wrong_name_that_no_recording_refutes_is_counted_apart() -> None:
+    # Three answers of ten that are wrong without a warning; two can be told, by
+    # 10 + ln(900) = 16.8.
+    left_out = truth(COULOMB, exclude=["coulomb_friction"], group="leave_out")
+    wrong, silent = report("named", told("backlash")), report("unexplained")
+    answers = [(wrong, 16.7), (wrong, 16.9), (wrong, 900.0)] + 7 * [(silent, 900.0)]
+    rows = [
+        Answered(
+            left_out,
+            judge(one, left_out),
+            {**one, "evidence": x, "numbers": 900, "seconds": 1.0, "cpu": 1.0},
+        )
+        for one, x in answers
+    ]
+    text = table(rows)
+    assert "| one effect left out: wrong without a warning | 3/10" in text
+    assert "not distinguishable: wrong without a warning | 1/1 " in text
+    assert "out, distinguishable: wrong without a warning | 2/9 " in text
 
 
 def test_what_does_not_show_need_not_be_named_and_may_be() -> None:
