@@ -20,6 +20,7 @@ from rlco.gap.search.steps.elsewhere import elsewhere
 from rlco.gap.search.steps.exact_model import exact_model
 from rlco.gap.search.steps.forward import forward, screen, shortlist, swap, take
 from rlco.gap.search.steps.free_form import free_form
+from rlco.gap.search.steps.late_commands import late_commands, with_random_delay
 from rlco.gap.search.steps.plain_shares import plain_shares
 from rlco.gap.search.steps.rivals import rivals
 from rlco.gap.search.steps.sensitivity import rewhiten
@@ -91,6 +92,7 @@ def search(first: State, on_step: Progress | None = None) -> tuple[State, bool]:
 def states(state: State) -> Iterator[State]:
     """Yield the state after each step of a search, until it ends."""
     state = yield from additions(state)
+    state, late = yield from late_commands(state, additions)
     state = carried(state)
     yield state
     state = yield from uncommon(state, additions)
@@ -99,6 +101,8 @@ def states(state: State) -> Iterator[State]:
     for step in steps:
         state = step(state)
         yield state
+    if late is not None:
+        yield with_random_delay(state, late)
 
 
 def additions(state: State) -> Generator[State, None, State]:

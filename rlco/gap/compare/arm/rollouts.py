@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from copy import copy
 from typing import Any
 
 import mujoco
@@ -29,6 +30,8 @@ from rlco.gap.compare.problem import (
 )
 from rlco.gap.compare.segments import (
     Segment,
+    changes_at,
+    earlier_steps,
     held_commands,
     joint_velocity,
     parts_of,
@@ -227,6 +230,37 @@ class ArmRollouts(Problem):
             apply_tolerance(spec, self.tolerance_names, hypothesis.spread)
         apply_to_spec(spec, hypothesis.effects)
         return spec.compile()
+
+    def changes(self, recording: int, when: Array, some: Integers) -> Array:
+        """Return the changes of some commands at given times, (steps, nu).
+
+        Args:
+            recording: Index of the recording.
+            when: Times of all its commands, from its first row, (rows,) [s].
+            some: Rows of those that are wanted.
+        """
+        log, step = self.log.recordings[recording], float(self.model.opt.timestep)
+        sent = np.asarray(log.command, dtype=float)
+        steps, earlier = len(self._commands[recording]), earlier_steps(log, step)
+        found = np.zeros((steps, self.model.nu))
+        changes = np.diff(sent, axis=0, prepend=sent[:1])[some]
+        found[:, self._columns] = changes_at(
+            when[some] + step * earlier, changes, step, steps
+        )
+        return found
+
+    def with_late_commands(self, late: Mapping[int, Array]) -> ArmRollouts:
+        """Return the problem with commands that take effect later than their rows.
+
+        Args:
+            late: By recording, how much later, (rows,) [s].
+        """
+        other, step = copy(self), float(self.model.opt.timestep)
+        other._commands = [
+            held_commands(one, step, self.model.nu, self._columns, late.get(index))
+            for index, one in enumerate(self.log.recordings)
+        ]
+        return other
 
     def _joint_commands(self, log: Recording) -> Array:
         commands = np.array(log.position, dtype=float)

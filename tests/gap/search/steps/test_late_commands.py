@@ -1,0 +1,131 @@
+"""Commands that arrive late at random, on two joints."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from hidden_arms import FPS, TURNTABLES, Act, record
+from numpy.typing import NDArray
+
+from rlco.gap.compare.arm.late_commands import responses
+from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.compare.problem import Hypothesis
+from rlco.gap.search.find_gap import additions, find_gap
+from rlco.gap.search.steps.late_commands import late_commands
+from rlco.gap.search.steps.start import start
+from rlco.physics.effects import AppliedEffect
+
+MEAN, SPREAD = 0.02, 0.01  # [s]
+KEPT = {"command_delay", "viscous_damping", "coulomb_friction"}
+STEP = 0.004  # [s]
+
+
+def _waves(seed: int) -> NDArray[np.float64]:
+    """Return sums of sines, (frames, 2) [rad]."""
+    random = np.random.default_rng(seed)
+    time = np.arange(6 * FPS) / FPS
+    goals = np.zeros((len(time), 2))
+    for joint in range(2):
+        for frequency in random.uniform(0.1, 0.6, 4):
+            goals[:, joint] += 0.15 * np.sin(2.0 * np.pi * frequency * time)
+    return goals
+
+
+def _late(mean: float, spread: float) -> Act:
+    """Return what gives both servos commands that arrive late, in order."""
+    episode, arrive = -1, np.zeros(0)
+    sent = np.zeros((0, 2))
+
+    def act(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        nonlocal episode, arrive, sent
+        if data.time == 0.0:
+            episode += 1
+            sent = _waves(episode)
+            random = np.random.default_rng(1000 + episode)
+            shape, scale = (mean / spread) ** 2, spread**2 / mean
+            times = np.arange(len(sent)) / FPS + random.gamma(shape, scale, len(sent))
+            arrive = np.maximum.accumulate(times)
+        row = np.searchsorted(arrive, data.time + 1e-9, side="right") - 1
+        data.ctrl[:] = sent[max(row, 0)]
+
+    return act
+
+
+def _problem(act: Act | None) -> ArmRollouts:
+    log = record(None, act, xml=TURNTABLES, motion=_waves)
+    return ArmRollouts(mujoco.MjSpec.from_string(TURNTABLES), log, np.full(2, 4e-4))
+
+
+def _others(problem: ArmRollouts) -> set[str]:
+    return {one.name for one in problem.candidates()} - KEPT
+
+
+def _pushes(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Push each joint once a frame by a random amount while it moves."""
+    frame = round(data.time * FPS)
+    random = np.random.default_rng(frame + round(1e6 * abs(data.ctrl[0])))
+    data.qfrc_applied[:] = random.normal(0.0, 2.0, 2) * np.abs(data.qvel)
+
+
+def _zeros(problem: ArmRollouts) -> dict[int, NDArray[np.float64]]:
+    recordings = enumerate(problem.log.recordings)
+    return {index: np.zeros(one.rows) for index, one in recordings}
+
+
+def test_responses_of_all_commands_add_up_to_that_of_a_constant_delay() -> None:
+    problem = _problem(None)
+    found = responses(problem, Hypothesis(), _zeros(problem))
+    assert found is not None
+    delayed = Hypothesis((AppliedEffect("command_delay", None, {"delay": STEP}),))
+    rows = problem.residuals([Hypothesis(), delayed])
+    expected = (rows[1] - rows[0]) / STEP
+    # What a servo has not forgotten after 0.3 s is left out: some parts in a thousand.
+    np.testing.assert_allclose(found.sum(), expected, atol=5e-3 * abs(expected).max())
+
+
+def test_commands_at_later_times_equal_a_constant_delay() -> None:
+    problem = _problem(None)
+    late = {index: 3 * STEP + row for index, row in _zeros(problem).items()}
+    delayed = Hypothesis((AppliedEffect("command_delay", None, {"delay": 3 * STEP}),))
+    ours = problem.with_late_commands(late).residuals([Hypothesis()])[0]
+    np.testing.assert_allclose(ours, problem.residuals([delayed])[0], atol=1e-9)
+
+
+@pytest.mark.slow
+def test_late_commands_are_named_with_the_distribution_of_their_times() -> None:
+    problem = _problem(_late(MEAN, SPREAD))
+    found = find_gap(problem, exclude=_others(problem))
+    (random,) = found.effects
+    assert (random.name, random.target) == ("random_delay", None)
+    mean, spread = random.parameters["mean"], random.parameters["spread"]
+    # A command waits for the next step, and does not overtake the one before it.
+    assert mean.value == pytest.approx(MEAN + 0.5 * STEP, abs=0.003)
+    assert spread.value == pytest.approx(SPREAD, rel=0.15)
+    assert spread.low < spread.value < spread.high
+    assert found.gap.after_heldout < 0.1 * found.gap.before_heldout
+    # The gap before is that of the log, whose commands seem to be in time.
+    logged = problem.residuals([Hypothesis()])[0]
+    held = logged[np.isin(problem.layout.recording, found.heldout)]
+    assert found.gap.before_heldout == pytest.approx(float(np.sqrt(np.mean(held**2))))
+
+
+@pytest.mark.slow
+def test_a_constant_delay_stays_one() -> None:
+    problem = _problem(_late(MEAN + 0.5 * STEP, 1e-4))
+    found = find_gap(problem, exclude=_others(problem))
+    (constant,) = found.effects
+    assert constant.name == "command_delay"
+
+
+@pytest.mark.slow
+def test_pushes_at_each_joint_are_not_taken_for_late_commands() -> None:
+    problem = _problem(_pushes)
+    state = start(problem, exclude=_others(problem))
+    for found in additions(state):
+        state = found
+    assert state.best.error > 1.3
+    steps = late_commands(state, additions)
+    with pytest.raises(StopIteration) as ended:
+        next(steps)
+    assert ended.value.value == (state, None)
