@@ -29,7 +29,7 @@ class JointSums:
     """What the likelihoods need of one joint's residuals z and columns B beside them.
 
     Attributes:
-        gram: Banded ``S^T S``, (K, C).
+        gram: Banded ``S^T S``, (2 K, C).
         along: ``S^T [z B]``, (C, 1 + k).
         squares: ``[z B]^T [z B]``, (1 + k, 1 + k).
         count: How many residuals.

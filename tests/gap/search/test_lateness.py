@@ -31,6 +31,7 @@ def _responses() -> Responses:
     latest = np.arange(ROWS) // 2
     teeth = np.arange(TEETH)
     command = latest[:, None] - (latest[:, None] - teeth) % TEETH
+    command[20:, 1] -= TEETH  # one that is later than those sent after it
     command = np.repeat(np.where(command >= 0, command, -1), JOINTS, axis=0)
     rows = random.normal(0.0, 2.0, command.shape) * (command >= 0)
     channel = np.tile(np.arange(JOINTS), ROWS)

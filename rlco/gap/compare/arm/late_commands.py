@@ -71,12 +71,8 @@ class Responses:
             self.commands,
         )
 
-    def variance(self) -> Array:
-        """Return the variance of each residual by times of variance 1 s^2, (N,)."""
-        return np.asarray((self.rows**2).sum(axis=1))
-
     def gram(self, scale: Array) -> Array:
-        """Return ``S^T S`` in units of the noise, in banded form, (K, C).
+        """Return ``S^T S`` in units of the noise, in banded form, (2 K, C).
 
         Row b holds the products of each command with the one b before it, as
         `scipy.linalg.cholesky_banded` reads it with ``lower=True``.
@@ -86,12 +82,13 @@ class Responses:
         """
         teeth = self.rows.shape[1]
         scaled = self.rows / scale[:, None]
-        bands = np.zeros((teeth, self.commands))
+        # Commands that are late by more than a period are remembered out of order.
+        bands = np.zeros((2 * teeth, self.commands))
         for one in range(teeth):
             for other in range(teeth):
                 first, second = self.command[:, one], self.command[:, other]
                 apart = second - first
-                held = (first >= 0) & (apart >= 0) & (apart < teeth)
+                held = (first >= 0) & (apart >= 0) & (apart < len(bands))
                 product = (scaled[:, one] * scaled[:, other])[held]
                 np.add.at(bands, (apart[held], first[held]), product)
         return bands

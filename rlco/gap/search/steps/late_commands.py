@@ -19,7 +19,7 @@ import numpy as np
 from rlco.gap.compare.arm.late_commands import Responses, responses
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Candidate, Hypothesis
-from rlco.gap.compare.segments import joint_velocity
+from rlco.gap.compare.segments import SETTLE, joint_velocity
 from rlco.gap.logs.log import Array
 from rlco.gap.search.intervals import NORMAL
 from rlco.gap.search.judge import NAMED, NEAR_FLOOR, kind
@@ -41,7 +41,7 @@ from rlco.gap.search.state import State
 from rlco.gap.search.steps.elsewhere import Additions
 from rlco.gap.search.steps.start import start
 from rlco.physics.effects import AppliedEffect
-from rlco.physics.effects.command import COMMAND_DELAY, RANDOM_DELAY
+from rlco.physics.effects.command import COMMAND_DELAY, CONTROL_RATE, RANDOM_DELAY
 
 CLEARLY = 20.0  # logarithm of the likelihood ratio, held out
 GAIN = 0.3  # share of the held-out error that the commands' times must remove
@@ -108,7 +108,9 @@ def late_commands(
 
 def _with_delay(state: State) -> Hypothesis:
     """Return the best effects with a constant delay, from which the others vary."""
-    effects = state.best.effects
+    # A slow controller stands for late commands until their times are known.
+    slow = CONTROL_RATE.name
+    effects = tuple(one for one in state.best.effects if one.name != slow)
     if any(effect.name == COMMAND_DELAY.name for effect in effects):
         return Hypothesis(effects)
     (known,) = COMMAND_DELAY.parameters(state.setting.problem.model, None)
@@ -138,13 +140,18 @@ def _estimate(
         before = np.concatenate([late[index] for index in range(len(logs))])
         residual = moved.residuals([hypothesis])[0] - found.by(before)
         values = _beside(setting, found, residual)
-        if number == 0 and not _is_likely(setting, problem, found, values):
-            return None
+        # The last is the most accurate; one round suffices to see that there is none.
+        if number in (0, _ROUNDS - 1):
+            fitted, held = _gains(setting, problem, found, values)
+            if min(fitted, held if number else fitted) < CLEARLY:
+                return None
         sums = joint_sums(found, values, problem.noise)
         spread, excess = fit_common(sums, fit_each(sums)[1])
         times = estimated(sums, spread, excess)
         # Whatever all have in common is the constant delay's.
         times = times - np.average(times, weights=found.weights())
+        if np.abs(times).max() > 0.5 * SETTLE:
+            return None  # no command is: something else is at work
         late.update({index: times[rows] for index, rows in enumerate(slices)})
         width = spread_interval(sums, spread, excess, NORMAL)
         lateness = Lateness(problem, dict(late), spread, width)
@@ -161,24 +168,37 @@ def _beside(setting: Setting, found: Responses, rows: Array) -> Array:
     return np.asarray(columns / setting.problem.noise[found.channel][:, None])
 
 
-def _is_likely(
+def _gains(
     setting: Setting, problem: ArmRollouts, found: Responses, values: Array
-) -> bool:
-    """Return whether common times of the commands explain held-out rows the best."""
+) -> tuple[float, float]:
+    """Return how much likelier common times are than all else, fitted and held out.
+
+    Both are logarithms; everything is fitted to the training recordings.
+    """
     noise, channel = problem.noise, found.channel
     train = np.isin(found.block, setting.train)
     fitted = joint_sums(found.part(train), values[train], noise)
-    held = joint_sums(found.part(~train), values[~train], noise)
     spreads, excess = fit_each(fitted)
     spread, common = fit_common(fitted, excess)
     quiet = fit_quiet(fitted)
-    others = [quiet_likelihood(held, quiet), apart_likelihood(held, spreads, excess)]
     speed = _speeds(problem) / noise[channel]
-    for size in (quiet, excess):
-        times = fit_row_times(values[train], speed[train], size, channel[train])
-        rest = values[~train], speed[~train], size, channel[~train]
-        others.append(row_time_likelihood(*rest, times))
-    return log_likelihood(held, spread, common) > max(others) + CLEARLY
+    times = [
+        fit_row_times(values[train], speed[train], size, channel[train])
+        for size in (quiet, excess)
+    ]
+    gains = []
+    for part in (train, ~train):
+        sums = joint_sums(found.part(part), values[part], noise)
+        others = [
+            quiet_likelihood(sums, quiet),
+            apart_likelihood(sums, spreads, excess),
+            *(
+                row_time_likelihood(values[part], speed[part], size, channel[part], t)
+                for size, t in zip((quiet, excess), times, strict=True)
+            ),
+        ]
+        gains.append(log_likelihood(sums, spread, common) - max(others))
+    return gains[0], gains[1]
 
 
 def _speeds(problem: ArmRollouts) -> Array:
