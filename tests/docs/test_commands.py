@@ -145,8 +145,16 @@ def blocks_to_run() -> list[list[Command]]:
         chain = len(block) > 4  # on the whole, as each goes on with the one before
         new = [one for one in block if chain or effective(one) not in done]
         done |= {effective(one) for one in new}
-        left += [new] if new else []
+        needed = [one for one in block if one in new or any(feeds(one, n) for n in new)]
+        left += [needed] if new else []
     return left
+
+
+def feeds(one: Command, other: Command) -> bool:
+    """Return whether another command of its block reads the folder that it writes."""
+    written = [word[4:] for word in one.words if word.startswith("out=")]
+    read = {word.split("=", 1)[1] for word in other.words if "=" in word}
+    return one is not other and any(folder in read for folder in written)
 
 
 def test_what_another_test_runs_is_on_a_page_and_that_test_is_there() -> None:
