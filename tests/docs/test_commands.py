@@ -315,6 +315,8 @@ def with_less(recipe: str, options: list[str]) -> list[str]:
         del less["eval_episodes"]
     if "group_size" in given:  # episodes of a group are of one rollout
         less["num_envs"] = given["group_size"]
+    if "pretrain_scenes" in given:  # two minutes, as the page has it
+        less |= {"pretrain_scenes": "16", "pretrain_passes": "1"}
     if "resume" in given:  # only the number of rollouts may change
         less = {"iterations": 4} if "iterations" in given else {}
     small = {k: v for k, v in less.items() if given.get(k) != "0"}
