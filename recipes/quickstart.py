@@ -190,13 +190,14 @@ def record(config: Config, folder: Path) -> dict[str, str]:
     }
     images = config.image != "none"
     cameras = camera_list(config.camera)
+    camera = cameras if len(cameras) > 1 else config.camera
     for name, (domain, episodes, seed) in plan.items():
         record_once(
             folder / name,
             config.task,
             domain,
             episodes=episodes,
-            camera=(cameras if len(cameras) > 1 else config.camera) if images else None,
+            camera=camera if images else None,
             image_size=config.image_size if images else None,
             renderer=config.renderer,
             seed=500_000 + seed,  # far from the seeds of rollouts and evaluations

@@ -119,7 +119,7 @@ def _episodes(
     worlds = np.arange(count := stepper.num_envs)
     views.start(worlds, seed, (first + worlds).tolist())
     rngs = [np.random.default_rng([seed, first + index]) for index in worlds.tolist()]
-    state = stepper.reset([task.sample(rng, None) for rng in rngs])
+    state = stepper.reset([task.initial_state(rng) for rng in rngs])
     horizon = task.training_horizon or task.horizon
     shape = (horizon, len(task.action_names))
     jitter = noise * np.stack([rng.standard_normal(shape) for rng in rngs])

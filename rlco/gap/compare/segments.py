@@ -42,40 +42,17 @@ class Segment:
 
 
 def held_commands(
-    recording: Recording,
-    step: float,
-    size: int,
-    columns: list[int],
-    late: Array | None = None,
+    recording: Recording, step: float, size: int, columns: list[int]
 ) -> Array:
     """Return the commands at each physics step, held between rows, (steps, nu).
 
     They begin `earlier_steps` before the recording's first row, and hold
     `Recording.unread`.
-
-    Args:
-        recording: The recording.
-        step: The physics step [s].
-        size: Number of actuators, nu.
-        columns: Actuator of each command.
-        late: How much later than the row each row's command takes effect, (rows,) [s];
-            None where none is known to. Each changes what is held by as much as if
-            all before it had arrived, so that the sum is linear in each.
     """
-    before = earlier_steps(recording, step)
-    steps = before + round(recording.seconds / step) + 1
-    times = recording.time[0] + step * (np.arange(steps) - before)
-    time, sent = recording.time, np.asarray(recording.command, dtype=float)
-    if late is not None:
-        time = time + late
-    if recording.unread is not None:
-        time = np.concatenate([recording.unread[0], time])
-        order = np.argsort(time, kind="stable")
-        time, sent = time[order], np.concatenate([recording.unread[1], sent])[order]
-    commands = np.zeros((steps, size))
-    if late is not None:
-        commands[:, columns] = _sums(time, sent, times, step)
-    elif is_even(recording.time):
+    times = command_steps(recording, step)
+    time, sent, _ = sent_commands(recording)
+    commands = np.zeros((len(times), size))
+    if is_even(recording.time):
         # A row takes effect at the step nearest to it in time.
         row = np.searchsorted(time, times + 0.5 * step, side="right") - 1
         commands[:, columns] = sent[row]
@@ -84,35 +61,28 @@ def held_commands(
     return commands
 
 
-def _sums(time: Array, sent: Array, times: Array, step: float) -> Array:
-    """Return what changes at given times add up to, (steps, columns)."""
-    changes = np.diff(sent, axis=0, prepend=0.0)
-    late = np.r_[times[0], time[1:]]
-    return np.cumsum(changes_at(late - times[0], changes, step, len(times)), axis=0)
+def command_steps(recording: Recording, step: float) -> Array:
+    """Return the times of the physics steps that commands are held in, (steps,) [s]."""
+    before = earlier_steps(recording, step)
+    steps = before + round(recording.seconds / step) + 1
+    return np.asarray(recording.time[0] + step * (np.arange(steps) - before))
 
 
-def changes_at(time: Array, changes: Array, step: float, steps: int) -> Array:
-    """Return changes at given times as what each physics step adds, (steps, columns).
+def sent_commands(recording: Recording) -> tuple[Array, Array, Integers]:
+    """Return all commands in the order of their times, those of no row included.
 
-    A held command that changes within a step is, on average over it, a part of the new.
-
-    Args:
-        time: Of each, from the first step's begin, (rows,) [s].
-        changes: (rows, columns).
-        step: The physics step [s].
-        steps: How many.
-
-    Example:
-        >>> changes_at(np.array([0.015]), np.array([[4.0]]), 0.01, 4).ravel().tolist()
-        [0.0, 2.0, 2.0, 0.0]
+    Returns:
+        Times (M,) [s], commands (M, actuators), and the row of each, or -1, (M,).
     """
-    place = np.clip(time / step, 0.0, steps - 1.0)
-    at = place.astype(int)
-    part = (place - at)[:, None]
-    found = np.zeros((steps + 1, changes.shape[1]))
-    np.add.at(found, at, (1.0 - part) * changes)
-    np.add.at(found, at + 1, part * changes)
-    return found[:-1]
+    time, sent = recording.time, np.asarray(recording.command, dtype=float)
+    row = np.arange(len(time))
+    if recording.unread is None:
+        return time, sent, row
+    time = np.concatenate([recording.unread[0], time])
+    order = np.argsort(time, kind="stable")
+    sent = np.concatenate([recording.unread[1], sent])
+    row = np.r_[np.full(len(recording.unread[0]), -1), row]
+    return time[order], sent[order], row[order]
 
 
 def _means(time: Array, sent: Array, times: Array, step: float) -> Array:

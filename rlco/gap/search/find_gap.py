@@ -20,8 +20,9 @@ from rlco.gap.search.steps.elsewhere import elsewhere
 from rlco.gap.search.steps.exact_model import exact_model
 from rlco.gap.search.steps.forward import forward, screen, shortlist, swap, take
 from rlco.gap.search.steps.free_form import free_form
-from rlco.gap.search.steps.late_commands import late_commands, with_random_delay
+from rlco.gap.search.steps.late_commands import late_commands
 from rlco.gap.search.steps.plain_shares import plain_shares
+from rlco.gap.search.steps.random_delay import random_delay
 from rlco.gap.search.steps.rivals import rivals
 from rlco.gap.search.steps.sensitivity import rewhiten
 from rlco.gap.search.steps.start import split, start
@@ -92,17 +93,15 @@ def search(first: State, on_step: Progress | None = None) -> tuple[State, bool]:
 def states(state: State) -> Iterator[State]:
     """Yield the state after each step of a search, until it ends."""
     state = yield from additions(state)
-    state, late = yield from late_commands(state, additions)
+    state = yield from late_commands(state, additions)
     state = carried(state)
     yield state
     state = yield from uncommon(state, additions)
     state = yield from elsewhere(state, additions)
-    steps = (exact_model, rivals, intervals, plain_shares, residual, free_form)
-    for step in steps:
+    closing = (intervals, plain_shares, residual, free_form, random_delay)
+    for step in (exact_model, rivals, *closing):
         state = step(state)
         yield state
-    if late is not None:
-        yield with_random_delay(state, late)
 
 
 def additions(state: State) -> Generator[State, None, State]:
@@ -128,7 +127,7 @@ def additions(state: State) -> Generator[State, None, State]:
 
 def closed(state: State) -> State:
     """Return a state with everything that a verdict needs, as after the last steps."""
-    return residual(intervals(state))
+    return random_delay(residual(intervals(state)))
 
 
 def progress(state: State) -> tuple[str, float]:

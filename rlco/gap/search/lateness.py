@@ -16,12 +16,31 @@ import numpy as np
 from scipy import linalg, optimize
 
 from rlco.gap.compare.arm.late_commands import Responses
+from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Integers
 from rlco.gap.logs.log import Array
 
 _SPREADS = (3e-4, 0.2)  # that are searched [s]
 _NOISES = (0.7, 30.0)  # times the noise that a joint may have
 _CURVED = 0.05  # relative change of a spread that its interval is from
+
+
+@dataclass(frozen=True)
+class Lateness:
+    """Estimated times of a log's commands.
+
+    Attributes:
+        problem: The problem as logged.
+        late: Of each recording, how much later than its row, and than the mean, each
+            command took effect, (rows,) [s].
+        spread: Standard deviation of these times [s].
+        width: Half the width of its 90 % interval [s].
+    """
+
+    problem: ArmRollouts
+    late: Sequence[Array]
+    spread: float
+    width: float
 
 
 @dataclass(frozen=True)
@@ -54,9 +73,9 @@ def joint_sums(found: Responses, values: Array, noise: Array) -> list[JointSums]
     for joint in range(len(noise)):
         rows = found.channel == joint
         own, mine = found.part(rows), values[rows]
-        scale = np.full(len(mine), noise[joint])
         along = own.along(mine / noise[joint])
-        sums.append(JointSums(own.gram(scale), along, mine.T @ mine, len(mine)))
+        gram = own.gram() / noise[joint] ** 2
+        sums.append(JointSums(gram, along, mine.T @ mine, len(mine)))
     return sums
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 from rlco.gap.compare.problem import Candidate, FreeForm, Gap
 from rlco.gap.logs.log import Array
 from rlco.gap.search.fit import Fit, fit
+from rlco.gap.search.lateness import Lateness
 from rlco.gap.search.screening import Screening
 from rlco.gap.search.setting import Scored, Setting
 from rlco.gap.search.whitening import Whitening
@@ -85,6 +86,7 @@ class State:
         free_form: A torque of free form that does clearly better than `best`.
         plain: Share of the gap that single effects explain without any tolerance,
             where nothing is named.
+        lateness: Times of commands that arrive late at random; None where they do not.
     """
 
     setting: Setting
@@ -104,6 +106,7 @@ class State:
     residual: Residual | None = None
     free_form: FreeForm | None = None
     plain: Mapping[Candidate, float] = field(default_factory=dict)
+    lateness: Lateness | None = None
 
     @property
     def none(self) -> Scored:

@@ -67,7 +67,7 @@ def conclude(state: State, *, complete: bool = True, seconds: float = 0.0) -> Ve
         train=state.setting.train,
         heldout=state.setting.heldout,
         trail=state.trail,
-        remarks=_by_direction(state) if named else (),
+        remarks=(*_by_direction(state), *_late_commands(state)) if named else (),
         free_form=state.free_form,
         sample=_sample(state) if named else None,
     )
@@ -136,6 +136,16 @@ def _by_direction(state: State) -> tuple[str, ...]:
             f"({DIRECTIONAL_FRICTION.name}); no recording tells the two apart."
         )
     return tuple(remarks)
+
+
+def _late_commands(state: State) -> tuple[str, ...]:
+    """Say what a gap after is of, where each command has a time of its own."""
+    if state.lateness is None:
+        return ()
+    return (
+        "The gap after is with each command at the time that is estimated for it from "
+        "the motion. In figures all of them are late by the mean.",
+    )
 
 
 def _sample(state: State) -> Array | None:

@@ -15,7 +15,7 @@ A.9 and A.10).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,6 +25,7 @@ from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis, Integers
 from rlco.gap.compare.segments import SETTLE, earlier_steps
 from rlco.gap.logs.log import Array
+from rlco.physics.effects.command import COMMAND_DELAY
 
 _LEAST_TEETH, _MOST_TEETH = 6, 40  # commands whose responses a rollout keeps apart
 
@@ -52,10 +53,6 @@ class Responses:
         """Return the change by all commands at once, one second late, (N,)."""
         return np.asarray(self.rows.sum(axis=1))
 
-    def weights(self) -> Array:
-        """Return how much each command's lateness moves, in squares, (C,)."""
-        return self.along(np.ones((len(self.rows), 1)), power=2)[:, 0]
-
     def by(self, late: Array) -> Array:
         """Return the change by commands that are late by times (C,) [s], (N,)."""
         times = np.where(self.command >= 0, late[self.command], 0.0)
@@ -71,17 +68,13 @@ class Responses:
             self.commands,
         )
 
-    def gram(self, scale: Array) -> Array:
-        """Return ``S^T S`` in units of the noise, in banded form, (2 K, C).
+    def gram(self) -> Array:
+        """Return ``S^T S`` in banded form, (2 K, C).
 
         Row b holds the products of each command with the one b before it, as
         `scipy.linalg.cholesky_banded` reads it with ``lower=True``.
-
-        Args:
-            scale: Standard deviation of the noise of each residual, (N,).
         """
         teeth = self.rows.shape[1]
-        scaled = self.rows / scale[:, None]
         # Commands that are late by more than a period are remembered out of order.
         bands = np.zeros((2 * teeth, self.commands))
         for one in range(teeth):
@@ -89,84 +82,65 @@ class Responses:
                 first, second = self.command[:, one], self.command[:, other]
                 apart = second - first
                 held = (first >= 0) & (apart >= 0) & (apart < len(bands))
-                product = (scaled[:, one] * scaled[:, other])[held]
+                product = (self.rows[:, one] * self.rows[:, other])[held]
                 np.add.at(bands, (apart[held], first[held]), product)
         return bands
 
-    def along(self, values: Array, power: int = 1) -> Array:
-        """Return ``S^T values`` for values (N, k), of each command, (C, k).
-
-        Args:
-            values: Of each residual.
-            power: Of each number of S.
-        """
+    def along(self, values: Array) -> Array:
+        """Return ``S^T values`` for values (N, k), of each command, (C, k)."""
         out = np.zeros((self.commands, values.shape[1]))
         for tooth in range(self.rows.shape[1]):
             held = self.command[:, tooth] >= 0
-            product = self.rows[held, tooth, None] ** power * values[held]
+            product = self.rows[held, tooth, None] * values[held]
             np.add.at(out, self.command[held, tooth], product)
         return out
 
 
 def responses(
-    problem: ArmRollouts, hypothesis: Hypothesis, late: Mapping[int, Array]
+    problem: ArmRollouts, hypothesis: Hypothesis, late: Sequence[Array]
 ) -> Responses | None:
     """Measure the responses to the lateness of every command; None where they diverge.
 
     Args:
         problem: The robot and its log.
         hypothesis: What acts.
-        late: By recording, how late the problem has its commands, (rows,) [s]; the
-            residuals of these recordings, in the order of the layout.
+        late: Of each recording, how late the problem has its commands, (rows,) [s].
     """
-    recordings = sorted(late)
-    step = float(problem.model.opt.timestep)
-    logs = [problem.log.recordings[index] for index in recordings]
+    step, logs = float(problem.model.opt.timestep), problem.log.recordings
     period = float(np.median(np.concatenate([np.diff(log.time) for log in logs])))
     teeth = int(np.clip(np.ceil(SETTLE / period) + 1, _LEAST_TEETH, _MOST_TEETH))
     delay = sum(
-        effect.parameters["delay"]
+        float(effect.values[0])
         for effect in hypothesis.effects
-        if effect.name == "command_delay"
+        if effect.name == COMMAND_DELAY.name
     )
-    pushes: list[dict[int, Array]] = [{} for _ in range(teeth)]
-    arrivals: dict[int, Array] = {}
-    begins: dict[int, int] = {}
-    first = 0
-    for index, log in zip(recordings, logs, strict=True):
-        when = log.time - log.time[0] + late[index] + delay
-        for tooth, push in enumerate(pushes):
-            # A step later is what it is now, less what it changes by in this step.
-            push[index] = -problem.changes(
-                index, when, np.arange(tooth, log.rows, teeth)
+    # A step later, commands are what they are now less what they change by in a step.
+    pushes = [
+        {
+            index: -problem.of_actuators(
+                one.at((one.row >= 0) & (one.row % teeth == tooth), delay)
             )
-        arrivals[index] = when / step + earlier_steps(log, step)
-        begins[index] = first
-        first += log.rows
-    rows = problem.pushed(hypothesis, [{}, *pushes], recordings)
+            for index, one in enumerate(problem.changes(late))
+        }
+        for tooth in range(teeth)
+    ]
+    rows = problem.pushed(hypothesis, [{}, *pushes], range(len(logs)))
     if not np.isfinite(rows).all():
         return None
-    moved = ((rows[1:] - rows[0]) / step).T
-    joints = len(problem.log.joints)
-    command = np.full((len(moved), teeth), -1)
-    at = 0
+    begins = np.cumsum([0, *(log.rows for log in logs)])
+    remembered = []
     for segment in problem.segments:
-        if segment.recording not in recordings:
-            continue
+        log, first = logs[segment.recording], int(begins[segment.recording])
+        when = log.time - log.time[0] + late[segment.recording] + delay
+        arrive = when / step + earlier_steps(log, step)
         steps = segment.steps + segment.frames
-        rows_of = slice(at, at + len(steps) * joints)
+        columns = []
         for tooth in range(teeth):
-            arrive = arrivals[segment.recording][tooth::teeth]
-            latest = np.searchsorted(arrive, steps, side="right") - 1
-            own = begins[segment.recording] + tooth + teeth * latest
-            command[rows_of, tooth] = np.repeat(np.where(latest >= 0, own, -1), joints)
-        at += len(steps) * joints
-    moved = np.where(command >= 0, moved, 0.0)
-    kept = np.isin(problem.layout.recording, recordings)
-    return Responses(
-        problem.layout.channel[kept],
-        problem.layout.recording[kept],
-        moved,
-        command,
-        first,
-    )
+            latest = np.searchsorted(arrive[tooth::teeth], steps, side="right") - 1
+            columns.append(np.where(latest >= 0, first + tooth + teeth * latest, -1))
+        own = np.stack(columns, axis=1)
+        remembered.append(np.repeat(own, len(problem.log.joints), axis=0))
+    command = np.concatenate(remembered)
+    moved = np.where(command >= 0, ((rows[1:] - rows[0]) / step).T, 0.0)
+    layout = problem.layout
+    return Responses(layout.channel, layout.recording, moved, command, int(begins[-1]))

@@ -15,9 +15,10 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from rlco.gap.compare.arm.command_changes import CommandChanges
 from rlco.gap.compare.arm.divergence import diverged
-from rlco.gap.compare.arm.kernel import Views, roll_out, roll_out_forces
 from rlco.gap.compare.arm.needed_torque import limits, servo_torque
+from rlco.gap.compare.arm.step_through import step_through
 from rlco.gap.compare.model_tolerance import apply_tolerance, tolerance_names
 from rlco.gap.compare.problem import (
     Calibrated,
@@ -30,8 +31,6 @@ from rlco.gap.compare.problem import (
 )
 from rlco.gap.compare.segments import (
     Segment,
-    changes_at,
-    earlier_steps,
     held_commands,
     joint_velocity,
     parts_of,
@@ -47,7 +46,6 @@ from rlco.physics.effects.apply import (
     step_forces,
     true_positions,
 )
-from rlco.physics.effects.step_forces import StepForces
 from rlco.physics.effects.targets import actuator_of, dof_of
 from rlco.physics.effects.transmission import COMPLIANCE_SUFFIX
 from rlco.physics.mj.libmujoco import silenced_warnings
@@ -231,35 +229,27 @@ class ArmRollouts(Problem):
         apply_to_spec(spec, hypothesis.effects)
         return spec.compile()
 
-    def changes(self, recording: int, when: Array, some: Integers) -> Array:
-        """Return the changes of some commands at given times, (steps, nu).
+    def changes(self, late: Sequence[Array]) -> list[CommandChanges]:
+        """Return the changes of each recording's commands.
 
         Args:
-            recording: Index of the recording.
-            when: Times of all its commands, from its first row, (rows,) [s].
-            some: Rows of those that are wanted.
+            late: Of each recording, how much later than their rows, (rows,) [s].
         """
-        log, step = self.log.recordings[recording], float(self.model.opt.timestep)
-        sent = np.asarray(log.command, dtype=float)
-        steps, earlier = len(self._commands[recording]), earlier_steps(log, step)
-        found = np.zeros((steps, self.model.nu))
-        changes = np.diff(sent, axis=0, prepend=sent[:1])[some]
-        found[:, self._columns] = changes_at(
-            when[some] + step * earlier, changes, step, steps
-        )
-        return found
+        step = float(self.model.opt.timestep)
+        pairs = zip(self.log.recordings, late, strict=True)
+        return [CommandChanges.of(one, step, times) for one, times in pairs]
 
-    def with_late_commands(self, late: Mapping[int, Array]) -> ArmRollouts:
-        """Return the problem with commands that take effect later than their rows.
+    def of_actuators(self, commands: Array) -> Array:
+        """Return commands (steps, actuators) as those of the model, (steps, nu)."""
+        every = np.zeros((len(commands), self.model.nu))
+        every[:, self._columns] = commands
+        return every
 
-        Args:
-            late: By recording, how much later, (rows,) [s].
-        """
-        other, step = copy(self), float(self.model.opt.timestep)
-        other._commands = [
-            held_commands(one, step, self.model.nu, self._columns, late.get(index))
-            for index, one in enumerate(self.log.recordings)
-        ]
+    def with_late_commands(self, late: Sequence[Array]) -> ArmRollouts:
+        """Return the problem with commands that take effect later, see `changes`."""
+        other = copy(self)
+        held = [self.of_actuators(one.held()) for one in self.changes(late)]
+        other._commands = held
         return other
 
     def _joint_commands(self, log: Recording) -> Array:
@@ -348,46 +338,6 @@ class ArmRollouts(Problem):
                 residual = np.full_like(residual, np.inf)
             out.append(residual.ravel())
         return np.concatenate(out)
-
-
-def step_through(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    commands: Array,
-    read: Integers,
-    track: Array,
-    forces: StepForces,
-) -> None:
-    """Step a model through its commands, from the current state of its data.
-
-    Args:
-        model: The model; restored when this returns.
-        data: Its state; holds the final state when this returns.
-        commands: One row per physics step, (steps, nu).
-        read: Columns and addresses to record, see `roll_out`.
-        track: Output: positions before each step, (steps + 1, columns).
-        forces: Forces at each step beyond the model's own.
-    """
-    addresses = (model._address, data._address)
-    commands = np.ascontiguousarray(commands)
-    if not (forces.friction.rows.size or forces.torque.rows.size):
-        roll_out(*addresses, (data.qpos, data.ctrl), commands, read, track)
-        return
-    own = model.dof_frictionloss.copy()
-    views = Views(
-        data.qpos,
-        data.qvel,
-        data.ctrl,
-        data.qfrc_bias,
-        data.qfrc_actuator,
-        data.qfrc_applied,
-        model.dof_frictionloss,
-        own,
-    )
-    runge_kutta = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
-    mujoco.mj_forward(model, data)
-    roll_out_forces(*addresses, views, commands, read, track, forces, bool(runge_kutta))
-    model.dof_frictionloss[:] = own
 
 
 def _addresses(

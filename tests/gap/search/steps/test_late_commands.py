@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+
 import mujoco
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from rlco.gap.compare.arm.late_commands import responses
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.search.find_gap import additions, find_gap
+from rlco.gap.search.state import State
 from rlco.gap.search.steps.late_commands import late_commands
 from rlco.gap.search.steps.start import start
 from rlco.physics.effects import AppliedEffect
@@ -32,6 +35,15 @@ def _waves(seed: int) -> NDArray[np.float64]:
     return goals
 
 
+def _arrivals(
+    episode: int, count: int, mean: float, spread: float
+) -> NDArray[np.float64]:
+    """Return when the commands of an episode arrive, in order, (count,) [s]."""
+    shape, scale = (mean / spread) ** 2, spread**2 / mean
+    late = np.random.default_rng(1000 + episode).gamma(shape, scale, count)
+    return np.maximum.accumulate(np.arange(count) / FPS + late)
+
+
 def _late(mean: float, spread: float) -> Act:
     """Return what gives both servos commands that arrive late, in order."""
     episode, arrive = -1, np.zeros(0)
@@ -42,10 +54,7 @@ def _late(mean: float, spread: float) -> Act:
         if data.time == 0.0:
             episode += 1
             sent = _waves(episode)
-            random = np.random.default_rng(1000 + episode)
-            shape, scale = (mean / spread) ** 2, spread**2 / mean
-            times = np.arange(len(sent)) / FPS + random.gamma(shape, scale, len(sent))
-            arrive = np.maximum.accumulate(times)
+            arrive = _arrivals(episode, len(sent), mean, spread)
         row = np.searchsorted(arrive, data.time + 1e-9, side="right") - 1
         data.ctrl[:] = sent[max(row, 0)]
 
@@ -68,14 +77,22 @@ def _pushes(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     data.qfrc_applied[:] = random.normal(0.0, 2.0, 2) * np.abs(data.qvel)
 
 
-def _zeros(problem: ArmRollouts) -> dict[int, NDArray[np.float64]]:
-    recordings = enumerate(problem.log.recordings)
-    return {index: np.zeros(one.rows) for index, one in recordings}
+def _last(steps: Generator[State, None, State]) -> State:
+    """Return what a step of a search returns in the end."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as ended:
+            return ended.value
+
+
+def _times(problem: ArmRollouts, late: float) -> list[NDArray[np.float64]]:
+    return [np.full(one.rows, late) for one in problem.log.recordings]
 
 
 def test_responses_of_all_commands_add_up_to_that_of_a_constant_delay() -> None:
     problem = _problem(None)
-    found = responses(problem, Hypothesis(), _zeros(problem))
+    found = responses(problem, Hypothesis(), _times(problem, 0.0))
     assert found is not None
     delayed = Hypothesis((AppliedEffect("command_delay", None, {"delay": STEP}),))
     rows = problem.residuals([Hypothesis(), delayed])
@@ -86,7 +103,7 @@ def test_responses_of_all_commands_add_up_to_that_of_a_constant_delay() -> None:
 
 def test_commands_at_later_times_equal_a_constant_delay() -> None:
     problem = _problem(None)
-    late = {index: 3 * STEP + row for index, row in _zeros(problem).items()}
+    late = _times(problem, 3 * STEP)
     delayed = Hypothesis((AppliedEffect("command_delay", None, {"delay": 3 * STEP}),))
     ours = problem.with_late_commands(late).residuals([Hypothesis()])[0]
     np.testing.assert_allclose(ours, problem.residuals([delayed])[0], atol=1e-9)
@@ -109,6 +126,38 @@ def test_late_commands_are_named_with_the_distribution_of_their_times() -> None:
     held = logged[np.isin(problem.layout.recording, found.heldout)]
     assert found.gap.before_heldout == pytest.approx(float(np.sqrt(np.mean(held**2))))
 
+    assert "late by the mean" in found.remarks[-1]
+
+
+@pytest.mark.slow
+def test_the_time_of_each_command_is_estimated() -> None:
+    problem = _problem(_late(MEAN, SPREAD))
+    state = start(problem, exclude=_others(problem))
+    for found in additions(state):
+        state = found
+    lateness = _last(late_commands(state, additions)).lateness
+    assert lateness is not None
+    errors, truth = [], []
+    for episode, late in enumerate(lateness.late):
+        true = _arrivals(episode, len(late), MEAN, SPREAD) - np.arange(len(late)) / FPS
+        # While both joints turn slowly nothing shows when a command arrives.
+        turned = np.abs(np.diff(_waves(episode), axis=0, prepend=0.0)).max(axis=1)
+        errors.append((late - true)[turned > 0.01])
+        truth.append(true[turned > 0.01])
+    # 0.47; with the residual of commands in time alone, 0.69.
+    assert np.concatenate(errors).std() < 0.55 * np.concatenate(truth).std()
+
+
+@pytest.mark.slow
+def test_an_interrupted_search_with_late_commands_keeps_what_it_had() -> None:
+    problem = _problem(_late(MEAN, SPREAD))
+    state = start(problem, exclude=_others(problem))
+    for found in additions(state):
+        state = found
+    steps = late_commands(state, additions)
+    assert next(steps) is state
+    assert state.setting.problem is problem
+
 
 @pytest.mark.slow
 def test_a_constant_delay_stays_one() -> None:
@@ -125,7 +174,4 @@ def test_pushes_at_each_joint_are_not_taken_for_late_commands() -> None:
     for found in additions(state):
         state = found
     assert state.best.error > 1.3
-    steps = late_commands(state, additions)
-    with pytest.raises(StopIteration) as ended:
-        next(steps)
-    assert ended.value.value == (state, None)
+    assert _last(late_commands(state, additions)) is state
