@@ -97,6 +97,7 @@ class ArmRollouts(Problem):
             for segment in segments_of(index, recording, step, horizon)
         ]
         self.layout = self._layout()
+        self._pushes: Mapping[int, Array] = {}
 
     def candidates(self, *, uncommon: bool = False) -> list[Candidate]:
         """Return each effect at each target that can move these joints.
@@ -252,6 +253,12 @@ class ArmRollouts(Problem):
         other._commands = held
         return other
 
+    def with_pushes(self, pushes: Mapping[int, Array]) -> ArmRollouts:
+        """Return the problem with these additions to all commands, see `pushed`."""
+        other = copy(self)
+        other._pushes = pushes
+        return other
+
     def _joint_commands(self, log: Recording) -> Array:
         commands = np.array(log.position, dtype=float)
         sent = np.array(log.command, dtype=float)
@@ -321,8 +328,9 @@ class ArmRollouts(Problem):
             if index not in filtered:
                 sent = self._commands[index]
                 filtered[index] = apply_to_commands(sent, model, effects)
-                if push is not None and index in push:
-                    filtered[index] = filtered[index] + push[index]
+                for added in (self._pushes, push or {}):
+                    if index in added:
+                        filtered[index] = filtered[index] + added[index]
             commands = filtered[index][segment.steps : segment.steps + segment.commands]
             start = true_positions(segment.state[0], joints, effects)
             mujoco.mj_resetData(model, data)

@@ -1,0 +1,294 @@
+"""Set the torque of one joint free where much is left, and search beside it.
+
+Knocks, a cable, a drift or a worn encoder act at one joint in a way that no effect of a
+library describes, and no other recording repeats. What they do hides what effects do at
+other joints, and effects are then named for them. So where a search leaves more than
+noise, the torque of a joint may take any course over time, and its encoder may err by
+any function of position: these changes cost nothing. If one joint set free lets the
+library explain the rest, effects are named beside it, and its torque is drawn.
+
+The torque is estimated and applied, and its changes are measured again where it then
+is: large knocks are not linear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg import cho_factor, cho_solve
+
+from rlco.gap.compare.arm.free_torque import hats
+from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.compare.arm.torque_over_time import (
+    TorqueOverTime,
+    pushes_of,
+    torque_over_time,
+)
+from rlco.gap.compare.problem import FreeForm, Hypothesis
+from rlco.gap.compare.segments import joint_velocity
+from rlco.gap.logs.log import Array
+from rlco.gap.search.fit import candidates_of
+from rlco.gap.search.judge import NAMED, NEAR_FLOOR, kind
+from rlco.gap.search.setting import Free, Scored, training_first
+from rlco.gap.search.state import Outside, State
+from rlco.gap.search.steps.drop import drop
+from rlco.gap.search.steps.elsewhere import Additions, begun_with
+from rlco.gap.search.steps.start import start
+from rlco.gap.search.whitening import often
+
+GAIN = 0.3  # share of the held-out error that setting a joint free must remove
+JOINTS = 2  # that are tried
+_ROUNDS = 2  # estimates of the torque before a search
+_SEARCHES = 2  # each beside the torque that is left by what the one before found
+_KNOTS = 8  # of the torque that is drawn over position and over velocity
+_DRAWN = 0.25  # between points of the torque that is drawn over time [s]
+
+
+@dataclass(frozen=True)
+class _Freed:
+    """A joint set free: what it does, and with which torques the robot is compared."""
+
+    problem: ArmRollouts
+    torques: TorqueOverTime
+    amounts: Array  # of each hat in all, (K,)
+
+    @property
+    def free(self) -> Free:
+        return Free(self.torques.columns())
+
+
+def free_joint(state: State, additions: Additions) -> Generator[State, None, State]:
+    """Yield the state after each step of searches with one joint free; return the last.
+
+    Args:
+        state: Of a search that has added and dropped its effects.
+        additions: How a search goes on.
+
+    Returns:
+        The state of the best of these; the given one where setting a joint free does
+        not let effects be named that explain most of what is left.
+    """
+    problem = state.setting.problem
+    if state.best.error <= NEAR_FLOOR or state.lateness is not None:
+        return state
+    # With one joint, nothing tells a free torque from an effect.
+    if not isinstance(problem, ArmRollouts) or len(problem.log.joints) < 2:
+        return state
+    best = state
+    for base, joint in _likely(state, problem)[:JOINTS]:
+        yield state
+        found = yield from _beside(state, problem, base, joint, additions)
+        if found is not None and found.best.error < best.best.error:
+            best = found
+        if best.best.error <= NEAR_FLOOR:
+            break
+    if best.outside is None or (best.best.effects and kind(best) in NAMED):
+        return best
+    # No effect is named beside it, but it is there.
+    return replace(state, free_form=best.outside.form)
+
+
+def _likely(state: State, problem: ArmRollouts) -> list[tuple[Scored, str]]:
+    """Return joints that explain most when they are free, each beside which effects."""
+    bases = {one.names: one for one in (*_singles(state), state.best, state.none)}
+    lists = [one.effects for one in bases.values()]
+    everything = tuple(range(len(problem.log.recordings)))
+    rows = state.setting.residuals(lists, everything)
+    fine = np.isfinite(rows).all(axis=1)
+    found = []
+    for joint in problem.log.joints:
+        torques = torque_over_time(problem, Hypothesis(), joint)
+        if torques is None:
+            continue
+        amounts = _Amounts.of(state, torques.columns())
+        errors = np.array(
+            [
+                amounts.left(row) if good else np.inf
+                for row, good in zip(rows, fine, strict=True)
+            ]
+        )
+        index = int(errors.argmin())
+        found.append((float(errors[index]), list(bases.values())[index], joint))
+    found.sort(key=lambda one: one[0])
+    return [(base, joint) for _, base, joint in found]
+
+
+def _singles(state: State) -> list[Scored]:
+    """Return the best single effects of a search."""
+    singles = (one for one in state.scores.values() if len(one.effects) == 1)
+    return sorted(singles, key=lambda one: one.fit.cost)[:3]
+
+
+@dataclass(frozen=True)
+class _Amounts:
+    """Amounts of changes that leave least of residuals, by ridge regression.
+
+    Those of a free torque each reach over few rows, so their products are sparse.
+    """
+
+    columns: Any  # in units of the noise, each times its prior, (changes, N)
+    solve: Callable[[Array], Array]
+    prior: Array
+    scale: Array
+
+    @classmethod
+    def of(cls, state: State, free: Array) -> _Amounts:
+        """Return them for the tolerance's parameters and free changes (free, N)."""
+        setting, problem = state.setting, state.setting.problem
+        scale = problem.noise[problem.layout.channel]
+        counts = often(len(scale) if problem.calibration is None else -1)
+        prior = setting.prior / np.sqrt(counts)
+        tolerance = setting.weights.moved * prior[:, None] / scale
+        columns = sparse.vstack(
+            [sparse.csr_array(tolerance), sparse.csr_array(free / scale)], format="csr"
+        )
+        squares = (columns @ columns.T).toarray()
+        factor = cho_factor(squares + np.eye(len(squares)))
+        whole = np.concatenate([prior, np.ones(len(free))])
+        return cls(columns, lambda rows: cho_solve(factor, rows), whole, scale)
+
+    def fitted(self, rows: Array) -> Array:
+        """Return the amounts for residuals (N,), (changes,)."""
+        along = self.columns @ (rows / self.scale)
+        return np.asarray(-self.solve(along) * self.prior)
+
+    def left(self, rows: Array) -> float:
+        """Return the root mean square of residuals (N,), whitened."""
+        scaled = rows / self.scale
+        along = self.columns @ scaled
+        square = float(scaled @ scaled - along @ self.solve(along))
+        return float(np.sqrt(max(square, 0.0) / len(rows)))
+
+
+def _beside(
+    state: State,
+    problem: ArmRollouts,
+    base: Scored,
+    joint: str,
+    additions: Additions,
+) -> Generator[State, None, State | None]:
+    """Yield the given state at each step of a search with a joint free.
+
+    Returns:
+        The last state of that search; None where it explains little.
+    """
+    found, effects = None, base.effects
+    for _ in range(_SEARCHES):
+        # The torque is estimated beside what is known of the effects.
+        freed = _estimated(state, problem, Hypothesis(effects), joint)
+        if freed is None:
+            return None
+        begun = _begun(state, freed)
+        if effects:
+            begun, fits = begun.fit([effects])
+            if not fits:
+                return None
+            begun = drop(begun_with(begun, fits[0]))
+        found = begun
+        for found in additions(begun):
+            yield state  # it is kept aside until it is whole
+        if candidates_of(found.best.effects) == candidates_of(effects):
+            break
+        effects = found.best.effects
+    if found is None or not found.best.error < (1.0 - GAIN) * state.best.error:
+        return None
+    return replace(found, outside=_outside(state, problem, found, freed))
+
+
+def _begun(state: State, freed: _Freed) -> State:
+    """Return the first state of a search with a joint free."""
+    setting = state.setting
+    begun = start(
+        freed.problem,
+        spread=float(np.max(setting.prior, initial=0.0)),
+        exclude=setting.excluded,
+        free=freed.free,
+    )
+    wider = {**begun.setting.library, **setting.library}
+    begun = replace(begun, setting=replace(begun.setting, library=wider))
+    begun = replace(begun, trail=state.trail)
+    return begun.noted(effects=(), free_joint=freed.torques.joint)
+
+
+def _estimated(
+    state: State, problem: ArmRollouts, hypothesis: Hypothesis, joint: str
+) -> _Freed | None:
+    """Return a joint set free, with the torque that leaves least; None if it diverges.
+
+    Args:
+        state: Of a search without it.
+        problem: Its robot and log.
+        hypothesis: What else acts.
+        joint: The joint.
+    """
+    total: Array | None = None
+    moved = problem
+    for _ in range(_ROUNDS):
+        torques = torque_over_time(moved, hypothesis, joint)
+        if torques is None:
+            return None
+        (rows,) = moved.residuals([hypothesis])
+        if not np.isfinite(rows).all():
+            return None
+        # Torques alone: an encoder's error would cancel a constant one.
+        fitted = _Amounts.of(state, torques.moved).fitted(rows)
+        amounts = fitted[len(state.setting.prior) :]
+        total = amounts if total is None else total + amounts
+        moved = problem.with_pushes(pushes_of(problem, hypothesis, torques, total))
+    torques = torque_over_time(moved, hypothesis, joint)
+    if torques is None or total is None:
+        return None
+    return _Freed(moved, torques, total)
+
+
+def _outside(
+    state: State, problem: ArmRollouts, found: State, freed: _Freed
+) -> Outside:
+    """Return what acts at the free joint, as it is drawn."""
+    effects = found.best.effects
+    setting, torques = state.setting, freed.torques
+    order = training_first(problem, setting.train, setting.heldout)
+    (rows,) = problem.residuals([Hypothesis(effects)])
+    known = setting.weights.together.whiten(rows[order])
+    without = float(np.sqrt(np.mean(known[len(found.best.fit.residual) :] ** 2)))
+    torque = freed.amounts * torques.torque
+    position, velocity = _motion(problem, torques)
+    begins = np.cumsum([0.0, *(one.seconds for one in problem.log.recordings)])[:-1]
+    begins -= np.array([one.time[0] for one in problem.log.recordings])
+    time = torques.time + begins[torques.recording]
+    form = FreeForm(
+        torques.joint,
+        1.0 - found.best.error / without,
+        _means(position, torque),
+        _means(velocity, torque),
+        np.stack([time, torque]),
+    )
+    return Outside(problem, form)
+
+
+def _motion(
+    problem: ArmRollouts, torques: TorqueOverTime
+) -> tuple[Array, Array]:
+    """Return position and velocity of the joint at each hat, (K,)."""
+    column = problem.log.joints.index(torques.joint)
+    found = np.zeros((2, len(torques.time)))
+    for index, one in enumerate(problem.log.recordings):
+        own = torques.recording == index
+        paths = np.asarray(one.position, dtype=float), joint_velocity(one)
+        for row, path in zip(found, paths, strict=True):
+            row[own] = np.interp(torques.time[own], one.time, path[:, column])
+    return found[0], found[1]
+
+
+def _means(values: Array, torque: Array) -> Array:
+    """Return the torque as a smooth function of a value, (2, knots)."""
+    knots = np.unique(np.quantile(values, np.linspace(0.02, 0.98, _KNOTS)))
+    weights = hats(values, knots)
+    squares = weights @ weights.T
+    ridge = 1e-3 * float(np.trace(squares)) / len(squares)
+    fitted = np.linalg.solve(squares + ridge * np.eye(len(squares)), weights @ torque)
+    return np.stack([knots, fitted])
