@@ -7,7 +7,6 @@ hat, and K rollouts measure all.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,14 +71,15 @@ def torque_over_time(
     knots = _knots(problem)
     spacing = min(float(np.diff(times[:2])[0]) for times in knots)
     teeth = int(np.ceil(_REMEMBERED / spacing)) + 1
-    pushes: list[dict[int, Array]] = [{} for _ in range(teeth)]
-    for index, times in enumerate(knots):
-        for tooth, push in enumerate(pushes):
+    pushed = [problem]
+    for tooth in range(teeth):
+        push = {}
+        for index, times in enumerate(knots):
             amounts = np.zeros(len(times))
-            amounts[tooth::teeth] = _SMALL
-            push[index] = _commands(problem, actuator, index, times, amounts)
-    everything = range(len(knots))
-    rows = problem.pushed(hypothesis, [{}, *pushes], everything)
+            amounts[tooth::teeth] = _SMALL * torque
+            push[index] = _each_step(problem, index, times, amounts)
+        pushed.append(problem.with_torques(joint, push))
+    rows = np.concatenate([one.residuals([hypothesis]) for one in pushed])
     if not np.isfinite(rows).all():
         return None
     moved = (rows[1:] - rows[0]) / _SMALL
@@ -103,38 +103,32 @@ def torque_over_time(
     )
 
 
-def pushes_of(
-    problem: ArmRollouts, hypothesis: Hypothesis, free: TorqueOverTime, amounts: Array
-) -> Mapping[int, Array]:
-    """Return commands that add torques over time, see `ArmRollouts.pushed`.
+def with_amounts(
+    problem: ArmRollouts, free: TorqueOverTime, amounts: Array
+) -> ArmRollouts:
+    """Return the problem with a torque over time, see `ArmRollouts.with_torques`.
 
     Args:
         problem: The robot and its log.
-        hypothesis: What acts already.
         free: The hats.
         amounts: Of the usual torque at each, (K,).
     """
-    actuator = actuator_of(problem.model, free.joint)
     found = {}
     for index in range(len(problem.log.recordings)):
         own = free.recording == index
-        found[index] = _commands(
-            problem, actuator, index, free.time[own], amounts[own]
-        )
-    return found
+        torque = amounts[own] * free.torque
+        found[index] = _each_step(problem, index, free.time[own], torque)
+    return problem.with_torques(free.joint, found)
 
 
-def _commands(
-    problem: ArmRollouts, actuator: int, index: int, times: Array, amounts: Array
+def _each_step(
+    problem: ArmRollouts, index: int, times: Array, amounts: Array
 ) -> Array:
-    """Return additions to a recording's commands: amounts at times, (steps, nu)."""
+    """Return amounts at times as one at each physics step of a recording, (steps,)."""
     steps = command_steps(
         problem.log.recordings[index], float(problem.model.opt.timestep)
     )
-    change = np.zeros((len(steps), problem.model.nu))
-    within = steps >= times[0]
-    change[within, actuator] = USUAL * np.interp(steps[within], times, amounts)
-    return change
+    return np.asarray(np.interp(steps, times, amounts) * (steps >= times[0]))
 
 
 def _gain(problem: ArmRollouts, hypothesis: Hypothesis, actuator: int) -> float:

@@ -25,24 +25,31 @@ from rlco.gap.compare.arm.free_torque import hats
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.arm.torque_over_time import (
     TorqueOverTime,
-    pushes_of,
     torque_over_time,
+    with_amounts,
 )
-from rlco.gap.compare.problem import FreeForm, Hypothesis
+from rlco.gap.compare.problem import Candidate, FreeForm, Hypothesis
 from rlco.gap.compare.segments import joint_velocity
 from rlco.gap.logs.log import Array
 from rlco.gap.search.fit import candidates_of
-from rlco.gap.search.judge import NAMED, NEAR_FLOOR, kind
+from rlco.gap.search.judge import NAMED, kind
 from rlco.gap.search.setting import Free, Scored, training_first
 from rlco.gap.search.state import Outside, State
 from rlco.gap.search.steps.drop import drop
 from rlco.gap.search.steps.elsewhere import Additions, begun_with
 from rlco.gap.search.steps.start import start
 from rlco.gap.search.whitening import often
+from rlco.physics.effects import AppliedEffect
+from rlco.physics.effects.sensing import ENCODER_SCALE, JOINT_OFFSET
 
-GAIN = 0.3  # share of the held-out error that setting a joint free must remove
+LEFT = 1.15  # error over the noise, in all recordings, from which a joint is set free
+GAIN = 0.3  # share of this error that setting a joint free must remove
+FEWER = 0.05  # the same where it leaves fewer effects to be named
 JOINTS = 2  # that are tried
-_ROUNDS = 2  # estimates of the torque before a search
+_ENCODER = (ENCODER_SCALE.name, JOINT_OFFSET.name)
+_ROUNDS = 6  # estimates of the torque before a search
+_PARTS = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
+_SMALLER = 0.1  # share of what is left by which a round must lower it to be followed
 _SEARCHES = 2  # each beside the torque that is left by what the one before found
 _KNOTS = 8  # of the torque that is drawn over position and over velocity
 _DRAWN = 0.25  # between points of the torque that is drawn over time [s]
@@ -73,7 +80,7 @@ def free_joint(state: State, additions: Additions) -> Generator[State, None, Sta
         not let effects be named that explain most of what is left.
     """
     problem = state.setting.problem
-    if state.best.error <= NEAR_FLOOR or state.lateness is not None:
+    if _left(state.best) <= LEFT or state.lateness is not None:
         return state
     # With one joint, nothing tells a free torque from an effect.
     if not isinstance(problem, ArmRollouts) or len(problem.log.joints) < 2:
@@ -82,9 +89,9 @@ def free_joint(state: State, additions: Additions) -> Generator[State, None, Sta
     for base, joint in _likely(state, problem)[:JOINTS]:
         yield state
         found = yield from _beside(state, problem, base, joint, additions)
-        if found is not None and found.best.error < best.best.error:
+        if found is not None and _left(found.best) < _left(best.best):
             best = found
-        if best.best.error <= NEAR_FLOOR:
+        if _left(best.best) <= LEFT:
             break
     if best.outside is None or (best.best.effects and kind(best) in NAMED):
         return best
@@ -176,7 +183,8 @@ def _beside(
     Returns:
         The last state of that search; None where it explains little.
     """
-    found, effects = None, base.effects
+    found = None
+    effects = tuple(one for one in base.effects if not _is_of_encoder(one, joint))
     for _ in range(_SEARCHES):
         # The torque is estimated beside what is known of the effects.
         freed = _estimated(state, problem, Hypothesis(effects), joint)
@@ -194,9 +202,23 @@ def _beside(
         if candidates_of(found.best.effects) == candidates_of(effects):
             break
         effects = found.best.effects
-    if found is None or not found.best.error < (1.0 - GAIN) * state.best.error:
+    if found is None or not _is_worth_it(state.best, found.best):
         return None
     return replace(found, outside=_outside(state, problem, found, freed))
+
+
+def _left(one: Scored) -> float:
+    """Return the root mean square of what a set of effects leaves everywhere.
+
+    Held-out recordings alone may hold little of what happens once.
+    """
+    return float(np.sqrt(np.mean(one.everything**2)))
+
+
+def _is_worth_it(before: Scored, found: Scored) -> bool:
+    """Return whether a free joint explains enough to be named for."""
+    fewer = len(found.effects) < len(before.effects)
+    return _left(found) < (1.0 - (FEWER if fewer else GAIN)) * _left(before)
 
 
 def _begun(state: State, freed: _Freed) -> State:
@@ -208,10 +230,17 @@ def _begun(state: State, freed: _Freed) -> State:
         exclude=setting.excluded,
         free=freed.free,
     )
+    joint = freed.torques.joint
     wider = {**begun.setting.library, **setting.library}
+    wider = {c: known for c, known in wider.items() if not _is_of_encoder(c, joint)}
     begun = replace(begun, setting=replace(begun.setting, library=wider))
     begun = replace(begun, trail=state.trail)
-    return begun.noted(effects=(), free_joint=freed.torques.joint)
+    return begun.noted(effects=(), free_joint=joint)
+
+
+def _is_of_encoder(one: Candidate | AppliedEffect, joint: str) -> bool:
+    """Return whether an effect is at an encoder whose error is free anyway."""
+    return one.target == joint and one.name in _ENCODER
 
 
 def _estimated(
@@ -225,23 +254,36 @@ def _estimated(
         hypothesis: What else acts.
         joint: The joint.
     """
-    total: Array | None = None
-    moved = problem
-    for _ in range(_ROUNDS):
-        torques = torque_over_time(moved, hypothesis, joint)
-        if torques is None:
-            return None
+    scale = problem.noise[problem.layout.channel]
+
+    def left(moved: ArmRollouts) -> tuple[float, Array]:
         (rows,) = moved.residuals([hypothesis])
-        if not np.isfinite(rows).all():
-            return None
+        return float(np.sqrt(np.mean((rows / scale) ** 2))), rows
+
+    torques = torque_over_time(problem, hypothesis, joint)
+    size, rows = left(problem)
+    if torques is None or not np.isfinite(size):
+        return None
+    moved, total = problem, np.zeros(len(torques.time))
+    for _ in range(_ROUNDS):
         # Torques alone: an encoder's error would cancel a constant one.
         fitted = _Amounts.of(state, torques.moved).fitted(rows)
-        amounts = fitted[len(state.setting.prior) :]
-        total = amounts if total is None else total + amounts
-        moved = problem.with_pushes(pushes_of(problem, hypothesis, torques, total))
-    torques = torque_over_time(moved, hypothesis, joint)
-    if torques is None or total is None:
-        return None
+        step, before = fitted[len(state.setting.prior) :], size
+        for part in _PARTS:
+            # A motor at its limit does not hold against more: whole steps go too far.
+            trial = with_amounts(problem, torques, total + part * step)
+            size, rows = left(trial)
+            if size < before:
+                break
+        else:
+            break
+        moved, total = trial, total + part * step
+        again = torque_over_time(moved, hypothesis, joint)
+        if again is None:
+            return None
+        torques = again
+        if size > (1.0 - _SMALLER) * before:
+            break
     return _Freed(moved, torques, total)
 
 
