@@ -14,7 +14,7 @@ import numpy as np
 from rlco.gap.compare.arm.free_torque import hats
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis, Integers
-from rlco.gap.compare.segments import command_steps, joint_velocity
+from rlco.gap.compare.segments import command_steps
 from rlco.gap.logs.log import Array
 from rlco.physics.effects.targets import actuator_of
 
@@ -121,9 +121,7 @@ def with_amounts(
     return problem.with_torques(free.joint, found)
 
 
-def _each_step(
-    problem: ArmRollouts, index: int, times: Array, amounts: Array
-) -> Array:
+def _each_step(problem: ArmRollouts, index: int, times: Array, amounts: Array) -> Array:
     """Return amounts at times as one at each physics step of a recording, (steps,)."""
     steps = command_steps(
         problem.log.recordings[index], float(problem.model.opt.timestep)

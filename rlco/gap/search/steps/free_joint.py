@@ -76,8 +76,8 @@ def free_joint(state: State, additions: Additions) -> Generator[State, None, Sta
         additions: How a search goes on.
 
     Returns:
-        The state of the best of these; the given one where setting a joint free does
-        not let effects be named that explain most of what is left.
+        The state of the first of these that explains most of what is left; the given
+        one where none does, and with the torque alone where no effect is named beside.
     """
     problem = state.setting.problem
     if _left(state.best) <= LEFT or state.lateness is not None:
@@ -85,41 +85,32 @@ def free_joint(state: State, additions: Additions) -> Generator[State, None, Sta
     # With one joint, nothing tells a free torque from an effect.
     if not isinstance(problem, ArmRollouts) or len(problem.log.joints) < 2:
         return state
-    best = state
     for base, joint in _likely(state, problem)[:JOINTS]:
         yield state
         found = yield from _beside(state, problem, base, joint, additions)
-        if found is not None and _left(found.best) < _left(best.best):
-            best = found
-        if _left(best.best) <= LEFT:
-            break
-    if best.outside is None or (best.best.effects and kind(best) in NAMED):
-        return best
-    # No effect is named beside it, but it is there.
-    return replace(state, free_form=best.outside.form)
+        if found is None or found.outside is None:
+            continue
+        if found.best.effects and kind(found) in NAMED:
+            return found
+        # No effect is named beside it, but it is there.
+        return replace(state, free_form=found.outside.form)
+    return state
 
 
 def _likely(state: State, problem: ArmRollouts) -> list[tuple[Scored, str]]:
     """Return joints that explain most when they are free, each beside which effects."""
     bases = {one.names: one for one in (*_singles(state), state.best, state.none)}
-    lists = [one.effects for one in bases.values()]
-    everything = tuple(range(len(problem.log.recordings)))
-    rows = state.setting.residuals(lists, everything)
-    fine = np.isfinite(rows).all(axis=1)
+    hypotheses = [Hypothesis(one.effects) for one in bases.values()]
+    rows = problem.residuals(hypotheses)
     found = []
     for joint in problem.log.joints:
         torques = torque_over_time(problem, Hypothesis(), joint)
         if torques is None:
             continue
         amounts = _Amounts.of(state, torques.columns())
-        errors = np.array(
-            [
-                amounts.left(row) if good else np.inf
-                for row, good in zip(rows, fine, strict=True)
-            ]
-        )
-        index = int(errors.argmin())
-        found.append((float(errors[index]), list(bases.values())[index], joint))
+        errors = [amounts.left(row) for row in rows]
+        index = int(np.argmin(errors))
+        found.append((errors[index], list(bases.values())[index], joint))
     found.sort(key=lambda one: one[0])
     return [(base, joint) for _, base, joint in found]
 
@@ -165,6 +156,8 @@ class _Amounts:
 
     def left(self, rows: Array) -> float:
         """Return the root mean square of residuals (N,), whitened."""
+        if not np.isfinite(rows).all():
+            return float("inf")
         scaled = rows / self.scale
         along = self.columns @ scaled
         square = float(scaled @ scaled - along @ self.solve(along))
@@ -183,13 +176,13 @@ def _beside(
     Returns:
         The last state of that search; None where it explains little.
     """
-    found = None
     effects = tuple(one for one in base.effects if not _is_of_encoder(one, joint))
     for _ in range(_SEARCHES):
         # The torque is estimated beside what is known of the effects.
-        freed = _estimated(state, problem, Hypothesis(effects), joint)
-        if freed is None:
+        estimated = _estimated(state, problem, Hypothesis(effects), joint)
+        if estimated is None:
             return None
+        freed = estimated
         begun = _begun(state, freed)
         if effects:
             begun, fits = begun.fit([effects])
@@ -197,12 +190,13 @@ def _beside(
                 return None
             begun = drop(begun_with(begun, fits[0]))
         found = begun
-        for found in additions(begun):
-            yield state  # it is kept aside until it is whole
-        if candidates_of(found.best.effects) == candidates_of(effects):
+        for step in additions(begun):
+            found = step
+            yield state  # what is found is kept aside until it is whole
+        known, effects = effects, found.best.effects
+        if candidates_of(effects) == candidates_of(known):
             break
-        effects = found.best.effects
-    if found is None or not _is_worth_it(state.best, found.best):
+    if not _is_worth_it(state.best, found.best):
         return None
     return replace(found, outside=_outside(state, problem, found, freed))
 
@@ -264,7 +258,8 @@ def _estimated(
     size, rows = left(problem)
     if torques is None or not np.isfinite(size):
         return None
-    moved, total = problem, np.zeros(len(torques.time))
+    moved = problem
+    total: Array = np.zeros(len(torques.time))
     for _ in range(_ROUNDS):
         # Torques alone: an encoder's error would cancel a constant one.
         fitted = _Amounts.of(state, torques.moved).fitted(rows)
@@ -299,8 +294,9 @@ def _outside(
     without = float(np.sqrt(np.mean(known[len(found.best.fit.residual) :] ** 2)))
     torque = freed.amounts * torques.torque
     position, velocity = _motion(problem, torques)
-    begins = np.cumsum([0.0, *(one.seconds for one in problem.log.recordings)])[:-1]
-    begins -= np.array([one.time[0] for one in problem.log.recordings])
+    logs = problem.log.recordings
+    before = np.cumsum([0.0, *(one.seconds for one in logs)])[:-1]
+    begins = before - np.array([one.time[0] for one in logs])
     time = torques.time + begins[torques.recording]
     form = FreeForm(
         torques.joint,
@@ -312,9 +308,7 @@ def _outside(
     return Outside(problem, form)
 
 
-def _motion(
-    problem: ArmRollouts, torques: TorqueOverTime
-) -> tuple[Array, Array]:
+def _motion(problem: ArmRollouts, torques: TorqueOverTime) -> tuple[Array, Array]:
     """Return position and velocity of the joint at each hat, (K,)."""
     column = problem.log.joints.index(torques.joint)
     found = np.zeros((2, len(torques.time)))
@@ -328,7 +322,7 @@ def _motion(
 
 def _means(values: Array, torque: Array) -> Array:
     """Return the torque as a smooth function of a value, (2, knots)."""
-    knots = np.unique(np.quantile(values, np.linspace(0.02, 0.98, _KNOTS)))
+    knots = np.unique(np.quantile(values, np.linspace(0.005, 0.995, _KNOTS)))
     weights = hats(values, knots)
     squares = weights @ weights.T
     ridge = 1e-3 * float(np.trace(squares)) / len(squares)
