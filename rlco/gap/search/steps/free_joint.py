@@ -46,6 +46,7 @@ LEFT = 1.15  # error over the noise, in all recordings, from which a joint is se
 GAIN = 0.3  # share of this error that setting a joint free must remove
 FEWER = 0.05  # the same where it leaves fewer effects to be named
 JOINTS = 2  # that are tried
+LITTLE = 0.1  # the same of an effect beside a free joint
 _ENCODER = (ENCODER_SCALE.name, JOINT_OFFSET.name)
 _ROUNDS = 6  # estimates of the torque before a search
 _PARTS = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
@@ -193,12 +194,32 @@ def _beside(
         for step in additions(begun):
             found = step
             yield state  # what is found is kept aside until it is whole
+        found = _without_small(found)
         known, effects = effects, found.best.effects
         if candidates_of(effects) == candidates_of(known):
             break
     if not _is_worth_it(state.best, found.best):
         return None
     return replace(found, outside=_outside(state, problem, found, freed))
+
+
+def _without_small(state: State) -> State:
+    """Return the state without effects that explain little beside a free joint.
+
+    What is free leaves a little of what acts there, and some effect always makes a
+    little of that up.
+    """
+    while state.best.effects:
+        best, effects = state.best, state.best.effects
+        fewer = [tuple(e for e in effects if e is not one) for one in effects]
+        options = [state.none]
+        if len(effects) > 1:
+            state, options = state.fit(fewer)
+        least = min(options, key=_left, default=None)
+        if least is None or _left(best) < (1.0 - LITTLE) * _left(least):
+            break
+        state = replace(state, best=least).noted(effects=least.effects, dropped=True)
+    return state
 
 
 def _left(one: Scored) -> float:
