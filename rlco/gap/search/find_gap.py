@@ -20,6 +20,7 @@ from rlco.gap.search.steps.elsewhere import elsewhere
 from rlco.gap.search.steps.exact_model import exact_model
 from rlco.gap.search.steps.forward import forward, screen, shortlist, swap, take
 from rlco.gap.search.steps.free_form import free_form
+from rlco.gap.search.steps.free_joint import free_joint
 from rlco.gap.search.steps.late_commands import late_commands
 from rlco.gap.search.steps.plain_shares import plain_shares
 from rlco.gap.search.steps.random_delay import random_delay
@@ -98,6 +99,7 @@ def states(state: State) -> Iterator[State]:
     yield state
     state = yield from uncommon(state, additions)
     state = yield from elsewhere(state, additions)
+    state = yield from free_joint(state, additions)
     closing = (intervals, plain_shares, residual, free_form, random_delay)
     for step in (exact_model, rivals, *closing):
         state = step(state)

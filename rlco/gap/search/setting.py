@@ -12,7 +12,7 @@ from rlco.gap.logs.log import Array
 from rlco.gap.search.comparison import clearly_better
 from rlco.gap.search.fit import Fit, Library, candidates_of
 from rlco.gap.search.outliers import Outliers, Rows
-from rlco.gap.search.whitening import Whitening
+from rlco.gap.search.whitening import Whitening, often
 from rlco.physics.effects import AppliedEffect
 
 _STEP = 0.01  # finite difference of a tolerance parameter
@@ -48,6 +48,33 @@ class Scored:
 
 
 @dataclass(frozen=True)
+class Free:
+    """Changes of the residuals that cost nothing, besides those by the tolerance.
+
+    Attributes:
+        columns: Changes of a usual size, (free, N).
+    """
+
+    columns: Array
+
+    def beside(
+        self, moved: Array, prior: Array, part: Rows, count: int
+    ) -> tuple[Array, Array]:
+        """Return the tolerance's changes and priors with these added.
+
+        Args:
+            moved: Change of some residuals by each tolerance parameter, (spread, n).
+            prior: Standard deviation of each, (spread,).
+            part: Which residuals these are.
+            count: How many residuals the prior counts against, see `Whitening.of`.
+        """
+        # The prior of a tolerance counts several times; what is free counts once.
+        wide = np.full(len(self.columns), np.sqrt(often(count)))
+        columns = np.concatenate([moved, self.columns[:, part]])
+        return columns, np.concatenate([prior, wide])
+
+
+@dataclass(frozen=True)
 class Weights:
     """Whitening of residuals under the model tolerance.
 
@@ -73,6 +100,7 @@ class Weights:
         moved: Array,
         prior: Array,
         outliers: Outliers | None,
+        free: Free | None = None,
     ) -> Weights:
         """Return the weights for given changes by the model tolerance.
 
@@ -83,6 +111,7 @@ class Weights:
             moved: Change of the residuals by each tolerance parameter, (spread, N).
             prior: Standard deviation of each tolerance parameter, (spread,).
             outliers: Maximum cost of a second.
+            free: What may change besides.
         """
         scale = problem.noise[problem.layout.channel]
         order = training_first(problem, train, heldout)
@@ -93,7 +122,10 @@ class Weights:
 
         def whitening(part: Rows, count: int) -> Whitening:
             some = outliers and outliers.part(part)
-            return Whitening.of(scale[part], moved[:, part], prior, count, some)
+            columns, width = moved[:, part], prior
+            if free is not None:
+                columns, width = free.beside(columns, prior, part, count)
+            return Whitening.of(scale[part], columns, width, count, some)
 
         return cls(
             moved,
@@ -121,6 +153,7 @@ class Setting:
         blocks: Block of time of each residual, training first, (N,).
         series: Block and channel of each residual, training first, (N,).
         excluded: Names of effects that are left out.
+        free: What may change at no cost; None for nothing.
     """
 
     problem: Problem
@@ -135,6 +168,7 @@ class Setting:
     blocks: Integers
     series: Integers
     excluded: frozenset[str] = frozenset()
+    free: Free | None = None
 
     def residuals(
         self, lists: Sequence[tuple[AppliedEffect, ...]], recordings: tuple[int, ...]
@@ -183,7 +217,10 @@ class Setting:
         moved = self.weights.moved[:, near]
         rows = len(layout.recording) if self.problem.calibration is None else -1
         outliers = self.outliers and self.outliers.part(near)
-        training = Whitening.of(scale, moved, self.prior, rows, outliers)
+        prior = self.prior
+        if self.free is not None:
+            moved, prior = self.free.beside(moved, prior, near, rows)
+        training = Whitening.of(scale, moved, prior, rows, outliers)
         return replace(
             self, train=some, weights=replace(self.weights, training=training)
         )

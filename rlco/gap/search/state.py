@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from rlco.gap.compare.problem import Candidate, FreeForm, Gap
+from rlco.gap.compare.problem import Candidate, FreeForm, Gap, Problem
 from rlco.gap.logs.log import Array
 from rlco.gap.search.fit import Fit, fit
 from rlco.gap.search.lateness import Lateness
@@ -61,6 +61,19 @@ class Residual:
 
 
 @dataclass(frozen=True)
+class Outside:
+    """What acts at a joint that was set free, outside the library.
+
+    Attributes:
+        problem: The robot and its log without it.
+        form: Its torque.
+    """
+
+    problem: Problem
+    form: FreeForm
+
+
+@dataclass(frozen=True)
 class State:
     """Everything that a search has found so far.
 
@@ -87,6 +100,8 @@ class State:
         plain: Share of the gap that single effects explain without any tolerance,
             where nothing is named.
         lateness: Times of commands that arrive late at random; None where they do not.
+        outside: What acts at a joint that the effects were found beside; None where
+            every joint has its own torque alone.
     """
 
     setting: Setting
@@ -107,6 +122,7 @@ class State:
     free_form: FreeForm | None = None
     plain: Mapping[Candidate, float] = field(default_factory=dict)
     lateness: Lateness | None = None
+    outside: Outside | None = None
 
     @property
     def none(self) -> Scored:

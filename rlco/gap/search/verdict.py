@@ -76,6 +76,8 @@ def conclude(state: State, *, complete: bool = True, seconds: float = 0.0) -> Ve
 def _unexplained(state: State, residual: Residual) -> Mapping[str, object]:
     """Describe the held-out residual, and whether model tolerance may explain it."""
     setting, best, named = state.setting, found(state), kind(state)
+    if state.outside is not None:
+        return _beside_outside(residual)
     after = setting.heldout_error(best)
     calibrated = setting.problem.calibration
     tolerance = (
@@ -98,6 +100,15 @@ def _unexplained(state: State, residual: Residual) -> Mapping[str, object]:
     elif best.effects and after > LOUD:
         note = f"{note}; {DOUBT}"
     return {"share": share, "target": residual.target, "note": note}
+
+
+def _beside_outside(residual: Residual) -> Mapping[str, object]:
+    """Describe what remains where a joint has a torque that no effect describes."""
+    gap = residual.gap
+    noise = gap.noise_floor**2
+    before, after = gap.before_heldout**2 - noise, gap.after_heldout**2 - noise
+    share = min(max(after, 0.0) / max(before, 1e-300), 1.0)
+    return {"share": share, "target": residual.target, "note": residual.note}
 
 
 def _named_effects(state: State) -> tuple[NamedEffect, ...]:

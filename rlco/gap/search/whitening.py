@@ -43,8 +43,8 @@ class Whitening:
         scale: Standard deviation of the measurement of each value, (N,).
         basis: Orthonormal directions of the tolerance's change, (N, k).
         shrink: Factor of the residual along each of them, in (0, 1], (k,).
-        tolerance: Their whitened form: maps a scaled residual to the tolerance
-            parameters that explain it best, (spread, N).
+        tolerance: Maps what of a scaled residual is along each of them to the tolerance
+            parameters that explain it best, (spread, k).
         outliers: Maximum cost of a block of time; None where it is unlimited.
     """
 
@@ -77,14 +77,14 @@ class Whitening:
         moved = (jacobian * prior[:, None] / scale).T
         if moved.shape[1] == 0:
             none = np.zeros((len(scale), 0))
-            return cls(scale, none, np.zeros(0), none.T, outliers)
+            return cls(scale, none, np.zeros(0), np.zeros((0, 0)), outliers)
         # Eigenvectors of the small side are cheaper than a decomposition of all rows.
         squares, vectors = np.linalg.eigh(moved.T @ moved)
         kept = squares > 1e-9 * max(float(squares.max()), 1e-300)
         squares, vectors = squares[kept], vectors[:, kept]
         basis = moved @ (vectors / np.sqrt(squares))
         shrink = 1.0 / np.sqrt(1.0 + squares)
-        ridge = vectors @ ((1.0 / (1.0 + squares))[:, None] * (vectors.T @ moved.T))
+        ridge = vectors * (np.sqrt(squares) / (1.0 + squares))
         return cls(scale, basis, shrink, -prior[:, None] * ridge, outliers)
 
     def whiten(self, residuals: Array) -> Array:
@@ -115,4 +115,4 @@ class Whitening:
 
     def explain(self, residual: Array) -> Array:
         """Return tolerance parameters that best explain a residual (N,), (spread,)."""
-        return np.asarray(self.tolerance @ self.scaled(residual))
+        return np.asarray(self.tolerance @ (self.scaled(residual) @ self.basis))

@@ -164,6 +164,8 @@ class Three:
             np.zeros((1, 2), dtype=np.int64),
             np.zeros((2, 1)),
             step_forces(model, self.effects),
+            -1,
+            np.zeros(0),
             False,
         )
         return data.qfrc_applied.copy(), model.dof_frictionloss.copy()

@@ -56,6 +56,8 @@ def roll_out_forces(
     read: Any,
     track: Any,
     forces: Any,
+    dof: int,
+    outside: Any,
     runge_kutta: bool,
 ) -> None:
     """Do the same as `roll_out`, with forces from effects at each step.
@@ -68,6 +70,8 @@ def roll_out_forces(
         read: As in `roll_out`.
         track: As in `roll_out`.
         forces: A `StepForces`.
+        dof: Where a torque from outside acts.
+        outside: That torque at each step, (steps,); (0,) for none.
         runge_kutta: Whether the model uses the Runge-Kutta integrator, which
             ``mj_step2`` does not support.
     """
@@ -88,12 +92,17 @@ def roll_out_forces(
             v.friction,
         )
         v.ctrl[:] = commands[step]
+        if len(outside):
+            v.applied[dof] = 0.0
+        if forces.torque.rows.shape[0]:
+            mj_step1(model, data)
+            mj_fwdActuation(model, data)
+            set_torques(forces.torque, v.qpos, v.qvel, v.actuation, v.bias, v.applied)
+        if len(outside):
+            v.applied[dof] += outside[step]
         if forces.torque.rows.shape[0] == 0:
             mj_step(model, data)
             continue
-        mj_step1(model, data)
-        mj_fwdActuation(model, data)
-        set_torques(forces.torque, v.qpos, v.qvel, v.actuation, v.bias, v.applied)
         if runge_kutta:
             mj_step(model, data)
         else:

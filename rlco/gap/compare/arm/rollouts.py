@@ -97,6 +97,7 @@ class ArmRollouts(Problem):
             for segment in segments_of(index, recording, step, horizon)
         ]
         self.layout = self._layout()
+        self._torques: tuple[str, Mapping[int, Array]] | None = None
 
     def candidates(self, *, uncommon: bool = False) -> list[Candidate]:
         """Return each effect at each target that can move these joints.
@@ -252,6 +253,31 @@ class ArmRollouts(Problem):
         other._commands = held
         return other
 
+    def with_torques(self, joint: str, torques: Mapping[int, Array]) -> ArmRollouts:
+        """Return the problem with further torques at a joint, as if from outside.
+
+        Args:
+            joint: The joint; the same as in this problem, if that has such torques.
+            torques: By recording, one at each physics step from the first of its
+                commands, (steps,) [N m or N].
+        """
+        other = copy(self)
+        if self._torques is not None:
+            known = self._torques[1]
+            torques = {i: known.get(i, 0.0) + one for i, one in torques.items()}
+        other._torques = joint, torques
+        return other
+
+    def _outside(
+        self, model: mujoco.MjModel, segment: Segment
+    ) -> tuple[int, Array] | None:
+        """Return the address of a joint and its torque from outside, (steps,)."""
+        if self._torques is None or segment.recording not in self._torques[1]:
+            return None
+        joint, torques = self._torques
+        steps = slice(segment.steps, segment.steps + segment.commands)
+        return dof_of(model, joint), torques[segment.recording][steps]
+
     def _joint_commands(self, log: Recording) -> Array:
         commands = np.array(log.position, dtype=float)
         sent = np.array(log.command, dtype=float)
@@ -329,7 +355,8 @@ class ArmRollouts(Problem):
             data.qpos[write[0]] = start
             data.qvel[write[1]] = segment.state[1]
             track = np.zeros((segment.commands + 1, len(joints)))
-            step_through(model, data, commands, read, track, forces)
+            outside = self._outside(model, segment)
+            step_through(model, data, commands, read, track, forces, outside)
             rows = track[segment.frames]
             rows += segment.weights[:, None] * (track[segment.frames + 1] - rows)
             rows = apply_to_measurement(rows, joints, effects)

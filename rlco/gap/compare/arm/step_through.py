@@ -18,6 +18,7 @@ def step_through(
     read: Integers,
     track: Array,
     forces: StepForces,
+    outside: tuple[int, Array] | None = None,
 ) -> None:
     """Step a model through its commands, from the current state of its data.
 
@@ -28,10 +29,11 @@ def step_through(
         read: Columns and addresses to record, see `roll_out`.
         track: Output: positions before each step, (steps + 1, columns).
         forces: Forces at each step beyond the model's own.
+        outside: Degree of freedom and torque at each step, (steps,); None for none.
     """
     addresses = (model._address, data._address)
     commands = np.ascontiguousarray(commands)
-    if not (forces.friction.rows.size or forces.torque.rows.size):
+    if outside is None and not (forces.friction.rows.size or forces.torque.rows.size):
         roll_out(*addresses, (data.qpos, data.ctrl), commands, read, track)
         return
     own = model.dof_frictionloss.copy()
@@ -47,5 +49,7 @@ def step_through(
     )
     runge_kutta = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
     mujoco.mj_forward(model, data)
-    roll_out_forces(*addresses, views, commands, read, track, forces, bool(runge_kutta))
+    dof, torque = (-1, np.zeros(0)) if outside is None else outside
+    inputs = (commands, read, track, forces, dof, np.ascontiguousarray(torque))
+    roll_out_forces(*addresses, views, *inputs, bool(runge_kutta))
     model.dof_frictionloss[:] = own

@@ -44,8 +44,8 @@ def exact_model(state: State) -> State:
     setting, effects = state.setting, state.best.effects
     if not len(setting.prior) or len(effects) >= LARGEST:
         return state
-    if setting.problem.calibration is not None:
-        return state  # a calibrated model is known not to be exact
+    if setting.problem.calibration is not None or setting.free is not None:
+        return state  # it is known not to be exact
     if setting.heldout_error(state.best) < EXACT:
         return state
     # At the edge of stability, simulations amplify rounding errors.

@@ -46,6 +46,9 @@ from rlco.physics.effects.command import COMMAND_DELAY, CONTROL_RATE, RANDOM_DEL
 
 CLEARLY = 20.0  # logarithm of the likelihood ratio, held out
 GAIN = 0.3  # share of the held-out error that the commands' times must remove
+# A slow controller holds commands until its next turn; times of their own would fit as
+# well, and what its turns leave besides. Only where it leaves much more is it none.
+TURNS = 2.0
 _ROUNDS = 5  # estimates of the times, each with responses at the one before
 _DELAY = 0.05  # standard deviation of a constant delay [s]
 
@@ -67,6 +70,9 @@ def late_commands(state: State, additions: Additions) -> Generator[State, None, 
         return state
     # With one joint, nothing tells a late command from a torque.
     if len(problem.log.joints) < 2 or needed & setting.excluded:
+        return state
+    names = {effect.name for effect in state.best.effects}
+    if CONTROL_RATE.name in names and state.best.error < TURNS:
         return state
     lateness = _estimate(setting, problem, _with_delay(state))
     if lateness is None:

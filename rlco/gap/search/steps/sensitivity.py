@@ -43,7 +43,13 @@ def rewhiten(state: State) -> State:
     if not np.isfinite(moved).all():
         return state
     weights = Weights.of(
-        problem, setting.train, setting.heldout, moved, prior, setting.outliers
+        problem,
+        setting.train,
+        setting.heldout,
+        moved,
+        prior,
+        setting.outliers,
+        setting.free,
     )
     fresh = replace(
         state, setting=replace(setting, weights=weights), scores={}, screenings=()
@@ -103,5 +109,7 @@ def _beside(state: State) -> Whitening:
         return setting.weights.counted_once
     near = np.isin(layout.recording, setting.train)
     outliers = setting.outliers and setting.outliers.part(near)
-    scale = problem.noise[layout.channel][near]
-    return Whitening.of(scale, moved, setting.prior, -1, outliers)
+    scale, prior = problem.noise[layout.channel][near], setting.prior
+    if setting.free is not None:
+        moved, prior = setting.free.beside(moved, prior, near, -1)
+    return Whitening.of(scale, moved, prior, -1, outliers)

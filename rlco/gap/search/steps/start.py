@@ -13,6 +13,7 @@ from rlco.gap.search.comparison import seconds_of
 from rlco.gap.search.fit import library_of, linearise
 from rlco.gap.search.outliers import Outliers
 from rlco.gap.search.setting import (
+    Free,
     Setting,
     Weights,
     in_noise,
@@ -25,7 +26,11 @@ SCREENED = 3  # recordings of a screening
 
 
 def start(
-    problem: Problem, *, spread: float = 0.03, exclude: Collection[str] = ()
+    problem: Problem,
+    *,
+    spread: float = 0.03,
+    exclude: Collection[str] = (),
+    free: Free | None = None,
 ) -> State:
     """Return the first state of a search, with split recordings and known tolerance.
 
@@ -33,12 +38,13 @@ def start(
         problem: Robot and log.
         spread: Model tolerance: relative uncertainty of every model parameter.
         exclude: Names of effects to leave out.
+        free: Changes of the residuals that cost nothing; None for none.
 
     Raises:
         UnstableModelError: If the nominal simulation diverges, or does with one
             parameter of the model 1 % larger.
     """
-    setting = _setting(problem, spread, exclude)
+    setting = _setting(problem, spread, exclude, free)
     nothing = linearise(setting.library, (), setting.whiten)
     (none,) = setting.score([nothing])
     screened = _some_recordings(setting, nothing.residual)
@@ -62,7 +68,9 @@ def split(problem: Problem) -> tuple[tuple[int, ...], tuple[int, ...]]:
     return tuple(i for i in range(total) if i not in heldout), heldout
 
 
-def _setting(problem: Problem, spread: float, exclude: Collection[str]) -> Setting:
+def _setting(
+    problem: Problem, spread: float, exclude: Collection[str], free: Free | None
+) -> Setting:
     train, heldout = split(problem)
     nominal, moved = moved_by_tolerance(problem, ())
     check_stable(problem, nominal, moved)
@@ -73,7 +81,7 @@ def _setting(problem: Problem, spread: float, exclude: Collection[str]) -> Setti
     seconds = seconds_of(layout)
     blocks = seconds[order]
     outliers = Outliers.of(nominal / scale, seconds) if problem.has_outliers else None
-    weights = Weights.of(problem, train, heldout, moved, prior, outliers)
+    weights = Weights.of(problem, train, heldout, moved, prior, outliers, free)
     return Setting(
         problem=problem,
         library=library_of(problem, exclude),
@@ -87,6 +95,7 @@ def _setting(problem: Problem, spread: float, exclude: Collection[str]) -> Setti
         blocks=blocks,
         series=blocks * len(layout.channels) + layout.channel[order],
         excluded=frozenset(exclude),
+        free=free,
     )
 
 

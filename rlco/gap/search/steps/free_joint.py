@@ -1,0 +1,351 @@
+"""Set the torque of one joint free where much is left, and search beside it.
+
+Knocks, a cable, a drift or a worn encoder act at one joint in a way that no effect of a
+library describes, and no other recording repeats. What they do hides what effects do at
+other joints, and effects are then named for them. So where a search leaves more than
+noise, the torque of a joint may take any course over time, and its encoder may err by
+any function of position: these changes cost nothing. If one joint set free lets the
+library explain the rest, effects are named beside it, and its torque is drawn.
+
+The torque is estimated and applied, and its changes are measured again where it then
+is: large knocks are not linear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from scipy import sparse
+from scipy.linalg import cho_factor, cho_solve
+
+from rlco.gap.compare.arm.free_torque import hats
+from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.compare.arm.torque_over_time import (
+    TorqueOverTime,
+    torque_over_time,
+    with_amounts,
+)
+from rlco.gap.compare.problem import Candidate, FreeForm, Hypothesis
+from rlco.gap.compare.segments import joint_velocity
+from rlco.gap.logs.log import Array
+from rlco.gap.search.fit import candidates_of
+from rlco.gap.search.judge import NAMED, kind
+from rlco.gap.search.setting import Free, Scored, training_first
+from rlco.gap.search.state import Outside, State
+from rlco.gap.search.steps.drop import drop
+from rlco.gap.search.steps.elsewhere import Additions, begun_with
+from rlco.gap.search.steps.start import start
+from rlco.gap.search.whitening import often
+from rlco.physics.effects import AppliedEffect
+from rlco.physics.effects.sensing import ENCODER_SCALE, JOINT_OFFSET
+
+LEFT = 1.15  # error over the noise, in all recordings, from which a joint is set free
+GAIN = 0.3  # share of this error that setting a joint free must remove
+FEWER = 0.05  # the same where it leaves fewer effects to be named
+JOINTS = 2  # that are tried
+LITTLE = 0.1  # the same of an effect beside a free joint
+_ENCODER = (ENCODER_SCALE.name, JOINT_OFFSET.name)
+_ROUNDS = 6  # estimates of the torque before a search
+_PARTS = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
+_SMALLER = 0.1  # share of what is left by which a round must lower it to be followed
+_SEARCHES = 2  # each beside the torque that is left by what the one before found
+_KNOTS = 8  # of the torque that is drawn over position and over velocity
+_DRAWN = 0.25  # between points of the torque that is drawn over time [s]
+
+
+@dataclass(frozen=True)
+class _Freed:
+    """A joint set free: what it does, and with which torques the robot is compared."""
+
+    problem: ArmRollouts
+    torques: TorqueOverTime
+    amounts: Array  # of each hat in all, (K,)
+
+    @property
+    def free(self) -> Free:
+        return Free(self.torques.columns())
+
+
+def free_joint(state: State, additions: Additions) -> Generator[State, None, State]:
+    """Yield the state after each step of searches with one joint free; return the last.
+
+    Args:
+        state: Of a search that has added and dropped its effects.
+        additions: How a search goes on.
+
+    Returns:
+        The state of the first of these that explains most of what is left; the given
+        one where none does, and with the torque alone where no effect is named beside.
+    """
+    problem = state.setting.problem
+    if _left(state.best) <= LEFT or state.lateness is not None:
+        return state
+    # With one joint, nothing tells a free torque from an effect.
+    if not isinstance(problem, ArmRollouts) or len(problem.log.joints) < 2:
+        return state
+    for base, joint in _likely(state, problem)[:JOINTS]:
+        yield state
+        found = yield from _beside(state, problem, base, joint, additions)
+        if found is None or found.outside is None:
+            continue
+        if found.best.effects and kind(found) in NAMED:
+            return found
+        # No effect is named beside it, but it is there.
+        return replace(state, free_form=found.outside.form)
+    return state
+
+
+def _likely(state: State, problem: ArmRollouts) -> list[tuple[Scored, str]]:
+    """Return joints that explain most when they are free, each beside which effects."""
+    bases = {one.names: one for one in (*_singles(state), state.best, state.none)}
+    hypotheses = [Hypothesis(one.effects) for one in bases.values()]
+    rows = problem.residuals(hypotheses)
+    found = []
+    for joint in problem.log.joints:
+        torques = torque_over_time(problem, Hypothesis(), joint)
+        if torques is None:
+            continue
+        amounts = _Amounts.of(state, torques.columns())
+        errors = [amounts.left(row) for row in rows]
+        index = int(np.argmin(errors))
+        found.append((errors[index], list(bases.values())[index], joint))
+    found.sort(key=lambda one: one[0])
+    return [(base, joint) for _, base, joint in found]
+
+
+def _singles(state: State) -> list[Scored]:
+    """Return the best single effects of a search."""
+    singles = (one for one in state.scores.values() if len(one.effects) == 1)
+    return sorted(singles, key=lambda one: one.fit.cost)[:3]
+
+
+@dataclass(frozen=True)
+class _Amounts:
+    """Amounts of changes that leave least of residuals, by ridge regression.
+
+    Those of a free torque each reach over few rows, so their products are sparse.
+    """
+
+    columns: Any  # in units of the noise, each times its prior, (changes, N)
+    solve: Callable[[Array], Array]
+    prior: Array
+    scale: Array
+
+    @classmethod
+    def of(cls, state: State, free: Array) -> _Amounts:
+        """Return them for the tolerance's parameters and free changes (free, N)."""
+        setting, problem = state.setting, state.setting.problem
+        scale = problem.noise[problem.layout.channel]
+        counts = often(len(scale) if problem.calibration is None else -1)
+        prior = setting.prior / np.sqrt(counts)
+        tolerance = setting.weights.moved * prior[:, None] / scale
+        columns = sparse.vstack(
+            [sparse.csr_array(tolerance), sparse.csr_array(free / scale)], format="csr"
+        )
+        squares = (columns @ columns.T).toarray()
+        factor = cho_factor(squares + np.eye(len(squares)))
+        whole = np.concatenate([prior, np.ones(len(free))])
+        return cls(columns, lambda rows: cho_solve(factor, rows), whole, scale)
+
+    def fitted(self, rows: Array) -> Array:
+        """Return the amounts for residuals (N,), (changes,)."""
+        along = self.columns @ (rows / self.scale)
+        return np.asarray(-self.solve(along) * self.prior)
+
+    def left(self, rows: Array) -> float:
+        """Return the root mean square of residuals (N,), whitened."""
+        if not np.isfinite(rows).all():
+            return float("inf")
+        scaled = rows / self.scale
+        along = self.columns @ scaled
+        square = float(scaled @ scaled - along @ self.solve(along))
+        return float(np.sqrt(max(square, 0.0) / len(rows)))
+
+
+def _beside(
+    state: State,
+    problem: ArmRollouts,
+    base: Scored,
+    joint: str,
+    additions: Additions,
+) -> Generator[State, None, State | None]:
+    """Yield the given state at each step of a search with a joint free.
+
+    Returns:
+        The last state of that search; None where it explains little.
+    """
+    effects = tuple(one for one in base.effects if not _is_of_encoder(one, joint))
+    for _ in range(_SEARCHES):
+        # The torque is estimated beside what is known of the effects.
+        estimated = _estimated(state, problem, Hypothesis(effects), joint)
+        if estimated is None:
+            return None
+        freed = estimated
+        begun = _begun(state, freed)
+        if effects:
+            begun, fits = begun.fit([effects])
+            if not fits:
+                return None
+            begun = drop(begun_with(begun, fits[0]))
+        found = begun
+        for step in additions(begun):
+            found = step
+            yield state  # what is found is kept aside until it is whole
+        found = _without_small(found)
+        known, effects = effects, found.best.effects
+        if candidates_of(effects) == candidates_of(known):
+            break
+    if not _is_worth_it(state.best, found.best):
+        return None
+    return replace(found, outside=_outside(state, problem, found, freed))
+
+
+def _without_small(state: State) -> State:
+    """Return the state without effects that explain little beside a free joint.
+
+    What is free leaves a little of what acts there, and some effect always makes a
+    little of that up.
+    """
+    while state.best.effects:
+        best, effects = state.best, state.best.effects
+        fewer = [tuple(e for e in effects if e is not one) for one in effects]
+        options = [state.none]
+        if len(effects) > 1:
+            state, options = state.fit(fewer)
+        least = min(options, key=_left, default=None)
+        if least is None or _left(best) < (1.0 - LITTLE) * _left(least):
+            break
+        state = replace(state, best=least).noted(effects=least.effects, dropped=True)
+    return state
+
+
+def _left(one: Scored) -> float:
+    """Return the root mean square of what a set of effects leaves everywhere.
+
+    Held-out recordings alone may hold little of what happens once.
+    """
+    return float(np.sqrt(np.mean(one.everything**2)))
+
+
+def _is_worth_it(before: Scored, found: Scored) -> bool:
+    """Return whether a free joint explains enough to be named for."""
+    fewer = len(found.effects) < len(before.effects)
+    return _left(found) < (1.0 - (FEWER if fewer else GAIN)) * _left(before)
+
+
+def _begun(state: State, freed: _Freed) -> State:
+    """Return the first state of a search with a joint free."""
+    setting = state.setting
+    begun = start(
+        freed.problem,
+        spread=float(np.max(setting.prior, initial=0.0)),
+        exclude=setting.excluded,
+        free=freed.free,
+    )
+    joint = freed.torques.joint
+    wider = {**begun.setting.library, **setting.library}
+    wider = {c: known for c, known in wider.items() if not _is_of_encoder(c, joint)}
+    begun = replace(begun, setting=replace(begun.setting, library=wider))
+    begun = replace(begun, trail=state.trail)
+    return begun.noted(effects=(), free_joint=joint)
+
+
+def _is_of_encoder(one: Candidate | AppliedEffect, joint: str) -> bool:
+    """Return whether an effect is at an encoder whose error is free anyway."""
+    return one.target == joint and one.name in _ENCODER
+
+
+def _estimated(
+    state: State, problem: ArmRollouts, hypothesis: Hypothesis, joint: str
+) -> _Freed | None:
+    """Return a joint set free, with the torque that leaves least; None if it diverges.
+
+    Args:
+        state: Of a search without it.
+        problem: Its robot and log.
+        hypothesis: What else acts.
+        joint: The joint.
+    """
+    scale = problem.noise[problem.layout.channel]
+
+    def left(moved: ArmRollouts) -> tuple[float, Array]:
+        (rows,) = moved.residuals([hypothesis])
+        return float(np.sqrt(np.mean((rows / scale) ** 2))), rows
+
+    torques = torque_over_time(problem, hypothesis, joint)
+    size, rows = left(problem)
+    if torques is None or not np.isfinite(size):
+        return None
+    moved = problem
+    total: Array = np.zeros(len(torques.time))
+    for _ in range(_ROUNDS):
+        # Torques alone: an encoder's error would cancel a constant one.
+        fitted = _Amounts.of(state, torques.moved).fitted(rows)
+        step, before = fitted[len(state.setting.prior) :], size
+        for part in _PARTS:
+            # A motor at its limit does not hold against more: whole steps go too far.
+            trial = with_amounts(problem, torques, total + part * step)
+            size, rows = left(trial)
+            if size < before:
+                break
+        else:
+            break
+        moved, total = trial, total + part * step
+        again = torque_over_time(moved, hypothesis, joint)
+        if again is None:
+            return None
+        torques = again
+        if size > (1.0 - _SMALLER) * before:
+            break
+    return _Freed(moved, torques, total)
+
+
+def _outside(
+    state: State, problem: ArmRollouts, found: State, freed: _Freed
+) -> Outside:
+    """Return what acts at the free joint, as it is drawn."""
+    effects = found.best.effects
+    setting, torques = state.setting, freed.torques
+    order = training_first(problem, setting.train, setting.heldout)
+    (rows,) = problem.residuals([Hypothesis(effects)])
+    known = setting.weights.together.whiten(rows[order])
+    without = float(np.sqrt(np.mean(known[len(found.best.fit.residual) :] ** 2)))
+    torque = freed.amounts * torques.torque
+    position, velocity = _motion(problem, torques)
+    logs = problem.log.recordings
+    before = np.cumsum([0.0, *(one.seconds for one in logs)])[:-1]
+    begins = before - np.array([one.time[0] for one in logs])
+    time = torques.time + begins[torques.recording]
+    form = FreeForm(
+        torques.joint,
+        1.0 - found.best.error / without,
+        _means(position, torque),
+        _means(velocity, torque),
+        np.stack([time, torque]),
+    )
+    return Outside(problem, form)
+
+
+def _motion(problem: ArmRollouts, torques: TorqueOverTime) -> tuple[Array, Array]:
+    """Return position and velocity of the joint at each hat, (K,)."""
+    column = problem.log.joints.index(torques.joint)
+    found = np.zeros((2, len(torques.time)))
+    for index, one in enumerate(problem.log.recordings):
+        own = torques.recording == index
+        paths = np.asarray(one.position, dtype=float), joint_velocity(one)
+        for row, path in zip(found, paths, strict=True):
+            row[own] = np.interp(torques.time[own], one.time, path[:, column])
+    return found[0], found[1]
+
+
+def _means(values: Array, torque: Array) -> Array:
+    """Return the torque as a smooth function of a value, (2, knots)."""
+    knots = np.unique(np.quantile(values, np.linspace(0.005, 0.995, _KNOTS)))
+    weights = hats(values, knots)
+    squares = weights @ weights.T
+    ridge = 1e-3 * float(np.trace(squares)) / len(squares)
+    fitted = np.linalg.solve(squares + ridge * np.eye(len(squares)), weights @ torque)
+    return np.stack([knots, fitted])

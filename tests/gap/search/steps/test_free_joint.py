@@ -1,0 +1,125 @@
+"""A joint whose torque is set free: knocks at one, an effect at another."""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+
+import mujoco
+import numpy as np
+import pytest
+from hidden_arms import TURNTABLES, TWO_LINKS, record
+
+from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.compare.arm.torque_over_time import torque_over_time, with_amounts
+from rlco.gap.compare.problem import Hypothesis, Verdict
+from rlco.gap.search.find_gap import additions, find_gap
+from rlco.gap.search.state import State
+from rlco.gap.search.steps.free_joint import free_joint
+from rlco.gap.search.steps.start import start
+
+# Of 0.3 s, at these times of every recording [s]; half a sine [N m].
+KNOCKS, LONG, STRONG = (0.8, 2.6), 0.3, 3.0
+OTHERS = ("viscous_damping", "coulomb_friction", "actuator_gain", "joint_offset")
+
+
+def _knock(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    since = data.time - np.array(KNOCKS)
+    within = since[(since >= 0.0) & (since < LONG)]
+    data.qfrc_applied[0] = STRONG * np.sin(np.pi * within / LONG).sum()
+
+
+def _damped(model: mujoco.MjModel) -> None:
+    model.dof_damping[1] += 0.3
+
+
+def _problem(xml: str = TWO_LINKS, *, quiet: bool = False) -> ArmRollouts:
+    log = record(_damped, None if quiet else _knock, xml=xml, episodes=4)
+    return ArmRollouts(mujoco.MjSpec.from_string(xml), log, np.full(2, 4e-4))
+
+
+def _others(problem: ArmRollouts) -> set[str]:
+    every = [*problem.candidates(), *problem.candidates(uncommon=True)]
+    return {one.name for one in every} - set(OTHERS)
+
+
+def _last(steps: Generator[State, None, State]) -> State:
+    while True:
+        try:
+            next(steps)
+        except StopIteration as end:
+            return end.value  # type: ignore[no-any-return]
+
+
+@pytest.fixture(scope="module")
+def knocked() -> Verdict:
+    problem = _problem()
+    return find_gap(problem, exclude=_others(problem))
+
+
+@pytest.mark.slow
+def test_an_effect_is_named_beside_knocks_at_another_joint(knocked: Verdict) -> None:
+    (named,) = knocked.effects
+    assert (named.name, named.target) == ("viscous_damping", "elbow")
+    damping = named.parameters["damping"]
+    assert damping.low < 0.3 < damping.high
+    assert damping.value == pytest.approx(0.3, rel=0.05)
+
+
+@pytest.mark.slow
+def test_the_knocks_are_drawn_at_their_joint_and_times(knocked: Verdict) -> None:
+    assert knocked.free_form is not None
+    assert knocked.free_form.target == "shoulder"
+    time, torque = knocked.free_form.over_time
+    # Recordings of four seconds less a frame follow one another.
+    begins = np.arange(4) * 3.98
+    middle = (begins[:, None] + np.array(KNOCKS) + 0.5 * LONG).ravel()
+    nearest = np.abs(time[:, None] - middle).min(axis=1)
+    assert torque[nearest < 0.06].mean() == pytest.approx(STRONG, rel=0.15)
+    assert np.abs(torque[nearest > 0.4]).max() < 0.1 * STRONG
+
+
+@pytest.mark.slow
+def test_what_remains_is_that_of_the_model_without_the_knocks(knocked: Verdict) -> None:
+    problem = _problem()
+    (rows,) = problem.residuals([knocked.hypothesis])
+    held = np.isin(problem.layout.recording, knocked.heldout)
+    assert knocked.gap.after_heldout == pytest.approx(
+        float(np.sqrt(np.mean(rows[held] ** 2)))
+    )
+    assert knocked.unexplained["target"] == "shoulder"
+
+
+def test_where_an_effect_explains_all_no_joint_is_set_free() -> None:
+    problem = _problem(quiet=True)
+    first = start(problem, exclude=_others(problem))
+    state = _last(additions(first))  # type: ignore[arg-type]
+    assert _last(free_joint(state, additions)) is state
+
+
+def test_the_columns_are_what_a_small_torque_over_time_does() -> None:
+    problem = _problem(quiet=True)
+    free = torque_over_time(problem, Hypothesis(), "shoulder")
+    assert free is not None
+    amounts = 0.02 * np.random.default_rng(0).normal(size=len(free.time))
+    before, after = (
+        one.residuals([Hypothesis()])[0]
+        for one in (problem, with_amounts(problem, free, amounts))
+    )
+    change = amounts @ free.moved
+    np.testing.assert_allclose(after - before, change, atol=0.03 * np.abs(change).max())
+
+
+def test_a_torque_from_outside_acts_beside_a_motor_at_its_limit() -> None:
+    weak = TURNTABLES.replace('kp="40" kv="2"', 'kp="40" kv="2" forcerange="-1 1"')
+
+    def push(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        data.qfrc_applied[0] = 0.7
+
+    log = record(None, push, xml=weak, episodes=2, noise=0.0)
+    problem = ArmRollouts(mujoco.MjSpec.from_string(weak), log, np.full(2, 4e-4))
+    half = {
+        index: np.full(round(one.seconds / 0.004) + 1, 0.35)
+        for index, one in enumerate(log.recordings)
+    }
+    pushed = problem.with_torques("shoulder", half).with_torques("shoulder", half)
+    np.testing.assert_allclose(pushed.residuals([Hypothesis()]), 0.0, atol=1e-9)
