@@ -1,6 +1,7 @@
 """The whole chain in one command: record, imitate, reinforce, compare, report.
 
     uv run recipes/quickstart.py
+    uv run recipes/quickstart.py image=dense    # from images alone, without poses
     uv run recipes/quickstart.py train_domain=gap_report/effects.yaml
 
 Demonstrations are recorded in the simulator and in ``stand_in``, a second simulator
@@ -13,13 +14,11 @@ real demonstrations).
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from rlco.errors import ConfigError, RenderingError, UnknownNameError
 from rlco.run import Run, run_recipe
-from rlco.runs.config import distinct, folder_name, option
 from rlco.training.options.policy_options import (
     AugmentOptions,
     PolicyOptions,
@@ -27,6 +26,8 @@ from rlco.training.options.policy_options import (
     group_values,
 )
 from rlco.training.options.pretraining_options import PretrainingOptions
+from rlco.training.options.quickstart_options import METHODS
+from rlco.training.options.quickstart_options import QuickstartOptions as Config
 from rlco.training.options.stage_one_options import StageOneOptions
 from rlco.training.options.stage_two_options import StageTwoOptions
 
@@ -36,73 +37,8 @@ if TYPE_CHECKING:
     from rlco.reporting.statistics import ResultRow
 
 log = logging.getLogger("rlco.quickstart")
-METHODS = ("real_only", "sft", "rl_only", "rl_co")
 #: Options that mean the same in both stages, beside those of `PolicyOptions`.
 SHARED = ["seed", "threads", "keep_checkpoints", "task", "eval_domains", "effects_code"]
-
-
-@dataclass
-class Config(PretrainingOptions, PolicyOptions):
-    """Options of quickstart.py."""
-
-    name: str = option(
-        "quickstart", "name of the run, a part of its folder's name", check=folder_name
-    )
-    task: str = option("push_cube", "name of the task")
-    methods: list[str] = option(
-        list(METHODS), f"which to compare: {', '.join(METHODS)}", check=distinct
-    )
-    sim_demos: int = option(
-        12, "demonstrations to record in the training domain", minimum=1
-    )
-    real_demos: int = option(6, "demonstrations to record in stand_in", minimum=1)
-    heldout_demos: int = option(
-        9, "more in stand_in, held out of training, to measure forgetting", minimum=1
-    )
-    real_domain: str = option(
-        "stand_in",
-        "domain that plays the robot's part: a name, MODULE:NAME, or the path of an "
-        "effects.yaml",
-    )
-    sim_ratio: float = option(0.5, "alpha of Stage I", minimum=0, maximum=1)
-    updates: int = option(1500, "optimiser steps of Stage I", minimum=1)
-    iterations: int = option(40, "rollouts of Stage II", minimum=1)
-    num_envs: int = option(32, "episodes per rollout", minimum=1)
-    real_coeff: float = option(0.2, "beta of Stage II", minimum=0)
-    advantage: Literal["gae", "mc"] = option(
-        "gae", "gae: by a critic; mc: by returns within groups of equal initial states"
-    )
-    eval_every: int = option(20, "rollouts between evaluations", minimum=1)
-    curve_episodes: int = option(32, "episodes per point of a curve", minimum=1)
-    eval_episodes: int = option(
-        128, "episodes per method and domain of the comparison", minimum=1
-    )
-    film: bool = option(True, "render frames and a video if OpenGL is found")
-    eval_domains: list[str] = option(
-        ["sim", "stand_in"],
-        "domains to compare in: names, MODULE:NAME, or paths of effects.yaml files; "
-        "the last one is filmed",
-        input="file",
-    )
-    final_domains: list[str] = option(
-        [],
-        "further ones for the comparison alone, not for curves, such as locked",
-        input="file",
-    )
-    train_domain: str = option(
-        "sim",
-        "domain of the simulated demonstrations and of Stage II: a name, "
-        "MODULE:NAME, or the path of an effects.yaml",
-        input="file",
-    )
-    train_sample: Literal["none", "posterior"] = option(
-        "none",
-        "posterior: each episode of Stage II draws one of the parameter sets in "
-        "train_domain's file",
-    )
-    effects_code: str | None = option(
-        None, "Python file that registers effects of your own", input="file"
-    )
 
 
 # -- Options of the stages ---------------------------------------------------------
@@ -143,6 +79,7 @@ def stage_two(
         train_domain=config.train_domain,
         train_sample=config.train_sample,
         image_fixed=config.image_fixed,
+        lr=config.rl_lr,
         **{name: getattr(config, name) for name in SHARED},
         **group_values(config, AugmentOptions),
     )
@@ -188,7 +125,6 @@ def record(config: Config, folder: Path) -> dict[str, str]:
         "real": (config.real_domain, config.real_demos, 3 * config.seed + 1),
         "heldout": (config.real_domain, config.heldout_demos, 3 * config.seed + 2),
     }
-    images = config.image != "none"
     cameras = camera_list(config.camera)
     camera = cameras if len(cameras) > 1 else config.camera
     for name, (domain, episodes, seed) in plan.items():
@@ -197,8 +133,8 @@ def record(config: Config, folder: Path) -> dict[str, str]:
             config.task,
             domain,
             episodes=episodes,
-            camera=camera if images else None,
-            image_size=config.image_size if images else None,
+            camera=camera if config.reads_images else None,
+            image_size=config.image_size if config.reads_images else None,
             renderer=config.renderer,
             seed=500_000 + seed,  # far from the seeds of rollouts and evaluations
         )
@@ -349,6 +285,7 @@ def draw(config: Config, run: Run, rows: list[ResultRow], curves: list[str]) -> 
     """Draw the figures of the report, with curves of these domains."""
     from rlco.reporting import plots
     from rlco.reporting.stage_figures import draw_stages
+    from rlco.videos import same_scene
 
     plots.save_figure(plots.success_bars(rows), run.plots / "success.png")
     draw_stages(
@@ -361,6 +298,15 @@ def draw(config: Config, run: Run, rows: list[ResultRow], curves: list[str]) -> 
         run.plots,
         episodes=config.curve_episodes,
     )
+    if config.reads_images:
+        seen = same_scene(
+            config.task,
+            (config.train_domain, config.real_domain),
+            cameras=camera_list(config.camera),
+            image_size=(config.image_size, config.image_size),
+            renderer=config.renderer,
+        )
+        plots.save_figure(plots.same_scene(seen), run.plots / "same_scene.png")
 
 
 def film(config: Config, run: Run, method: str, policy: Any, domain: Domain) -> None:
@@ -377,6 +323,29 @@ def film(config: Config, run: Run, method: str, policy: Any, domain: Domain) -> 
     save_figure(filmed.strip(domain.name, method), run.plots / "episode.png")
 
 
+def notes(config: Config) -> list[str]:
+    """Return what the report says of the options, below its headline."""
+    said = []
+    if config.train_domain != "sim":
+        said.append(
+            f"Simulated demonstrations and RL use the domain {config.train_domain}."
+        )
+    if config.reads_images and not config.use_environment_state:
+        size, cameras = config.image_size, camera_list(config.camera)
+        said.append(
+            f"Policies read images of {' and '.join(cameras)}, {size} x {size} pixels, "
+            "and the robot's own state; as they act, nothing tells them where objects "
+            "are."
+        )
+    if config.reads_images and config.pretrain_scenes:
+        said.append(
+            "Before imitation their encoder learned where things are from "
+            f"{config.pretrain_scenes} labelled scenes of {config.train_domain}; that "
+            "of real_only, which is to know no simulator, had its demonstrations alone."
+        )
+    return said
+
+
 def main(config: Config) -> None:
     """Run the chain, and write the report."""
     from rlco.reporting.report import write_report
@@ -391,12 +360,7 @@ def main(config: Config) -> None:
         if config.film:
             method, policy = list(policies.items())[-1]
             film(config, run, method, policy, list(domains.values())[-1])
-    notes = []
-    if config.train_domain != "sim":
-        notes.append(
-            f"Simulated demonstrations and RL use the domain {config.train_domain}."
-        )
-    report = write_report(run.path, notes=notes)
+    report = write_report(run.path, notes=notes(config))
     log.info("report: %s", report)
 
 

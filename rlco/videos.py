@@ -1,7 +1,8 @@
-"""Videos of a policy's episodes: what an evaluation counts, to be looked at."""
+"""Videos of a policy's episodes, and images of a scene, to be looked at."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,7 +15,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from rlco import keys
 from rlco.envs import make_env
 from rlco.evaluation import EVALUATION_SEED, read_by
-from rlco.physics.spec.domain import GivenDomain
+from rlco.physics.spec.domain import GivenDomain, make_domain
+from rlco.physics.spec.names import Renderer
 from rlco.reporting.video import write_video
 
 if TYPE_CHECKING:
@@ -109,3 +111,46 @@ def record_video(
     period = chunk / env.task.control_frequency
     write_video(path, np.stack(frames), 1.0 / period)
     return Film(frames, period, instruction)
+
+
+def same_scene(
+    task: str,
+    domains: Iterable[GivenDomain],
+    *,
+    cameras: Sequence[str] = ("agentview",),
+    image_size: tuple[int, int] = (64, 64),
+    renderer: Renderer = "raster",
+    index: int = 0,
+) -> dict[str, dict[str, NDArray[np.uint8]]]:
+    """Return what cameras see as an episode starts, in several domains.
+
+    Args:
+        task: The task's name.
+        domains: Where it starts, each time from the same state.
+        cameras: Names of the model's cameras.
+        image_size: Height and width of the images [pixels].
+        renderer: What draws them.
+        index: Number of the episode.
+
+    Returns:
+        Images (height, width, 3) by camera and domain.
+
+    Raises:
+        RenderingError: If no renderer is available.
+    """
+    seen: dict[str, dict[str, NDArray[np.uint8]]] = {name: {} for name in cameras}
+    for domain in map(make_domain, domains):
+        env = make_env(
+            task,
+            domain=domain,
+            image_size=image_size,
+            cameras=cameras,
+            renderer=renderer,
+            seed=EVALUATION_SEED,
+        )
+        env.start_at(index)
+        start = env.reset()
+        for name, key in zip(cameras, keys.image_keys(cameras), strict=True):
+            seen[name][domain.name] = start[key][0].permute(1, 2, 0).numpy()
+        env.close()
+    return seen

@@ -34,6 +34,7 @@ METHOD_STYLES = {
     "rl_only_best": ("#d55e00", "v"),
     "rl_co": ("#009e73", "D"),
 }
+SAME_SCENE = "The same scene, as policies see it"
 #: How to read each figure, by its title; reports print it beside the figure, in
 #: this order.
 READING = {
@@ -57,6 +58,10 @@ READING = {
     "Forgetting the demonstrations": (
         "A large drift with falling success means that reinforcement learning forgets "
         "the robot: raise real_coeff, or stop earlier. A drift alone is no harm."
+    ),
+    SAME_SCENE: (
+        "No camera took these images: what plays the robot's part, such as stand_in, "
+        "is a second simulator, not a robot, with other cameras, lights and colours."
     ),
     "One episode": "Time runs from left to right.",
 }

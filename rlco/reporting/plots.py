@@ -1,4 +1,4 @@
-"""Figures of a run: success, learning, gradients, forgetting, an episode.
+"""Figures of a run: success, learning, gradients, forgetting, scenes, an episode.
 
 Each function returns a matplotlib Figure without touching pyplot's global state;
 :func:`save_figure` writes it as a PNG that carries its title and how to read it.
@@ -19,6 +19,7 @@ from matplotlib.figure import Figure
 from rlco.reporting.plot_style import (
     INK,
     QUIET,
+    SAME_SCENE,
     WIDTH,
     caption,
     count_axis,
@@ -239,6 +240,33 @@ def episode_strip(
     task = f', asked to "{instruction}"' if instruction else ""
     who = f"Policy {policy}{task}. " if policy else ""
     caption(figure, f"{who}Rendered in {domain_label(domain)}.")
+    return figure
+
+
+def same_scene(images: Mapping[str, Mapping[str, npt.NDArray[np.uint8]]]) -> Figure:
+    """Draw what each camera shows of one state, the domains beside each other.
+
+    Args:
+        images: By camera and domain, all of one size. Shape (height, width, 3) each.
+    """
+    shown = [
+        (camera, domain, image)
+        for camera, by_domain in images.items()
+        for domain, image in by_domain.items()
+    ]
+    height, width = shown[0][2].shape[:2]
+    tall = WIDTH / len(shown) * height / width + 1.1
+    figure, panels = new_figure(SAME_SCENE, len(shown), height=tall)
+    for axes, (camera, domain, image) in zip(panels, shown, strict=True):
+        axes.imshow(image, interpolation="nearest")
+        axes.set_axis_off()
+        axes.set_title(f"{domain}\n{camera}", fontsize=10, color=INK)
+    domains = dict.fromkeys(domain_label(domain) for _, domain, _ in shown)
+    caption(
+        figure,
+        f"Images of {' and '.join(images)} as an episode starts, {width} x {height} "
+        f"pixels, as policies read them. Rendered in {' and in '.join(domains)}.",
+    )
     return figure
 
 

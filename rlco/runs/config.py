@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, cast
 
@@ -69,11 +69,15 @@ class RunOptions:
 
 @dataclass(frozen=True)
 class _Setting:
-    """One value given by the user, and the file it stands in ("": command line)."""
+    """One value given by the user, and the file it stands in ("": command line).
+
+    With ``when`` it holds only where that option has that value.
+    """
 
     key: str
     value: Any
     source: str = ""
+    when: tuple[str, Any] | None = None
 
     def problem(self, text: str) -> str:
         return f"in {self.source}: {text}" if self.source else text
@@ -86,8 +90,9 @@ def parse[C](config_class: type[C], argv: Sequence[str], recipe_path: str | Path
         config_class: The recipe's dataclass of options.
         argv: The arguments after the script's name: ``config=NAME|PATH`` (a YAML
             file that holds only differences, looked up in the folder named like
-            the recipe and then beside it), ``key=value`` with dots for groups,
-            or ``help``, which prints the options and exits with status 0.
+            the recipe and then beside it; what stands below ``KEY=VALUE:`` in it
+            holds only where that option has that value), ``key=value`` with dots
+            for groups, or ``help``, which prints the options and exits with status 0.
         recipe_path: The recipe's script.
 
     Returns:
@@ -117,7 +122,9 @@ option seed: 'x' is not of type int.
     given = _command_line(argv, options, problems)
     base = _base_settings(given, options, recipe_path, problems)
     config: DictConfig = OmegaConf.structured(config_class)
-    _apply(config, base or [], options, problems)
+    implied = [] if "resume" in given else _implied(options)
+    lower = _holding([*implied, *(base or [])], given, options)
+    _apply(config, lower, options, problems)
     saved = OmegaConf.create(config) if "resume" in given else None
     _apply(config, [s for s in given.values() if s.key != "config"], options, problems)
     if saved is not None and base:
@@ -235,6 +242,37 @@ def _base_settings(
     ]
 
 
+def _implied(options: Mapping[str, Option]) -> list[_Setting]:
+    """Return the defaults that values of options imply for others."""
+    return [
+        _Setting(key, default, when=(name, value))
+        for name, entry in options.items()
+        for value, defaults in entry.implies.items()
+        for key, default in defaults.items()
+    ]
+
+
+def _holding(
+    settings: Sequence[_Setting],
+    given: Mapping[str, _Setting],
+    options: Mapping[str, Option],
+) -> list[_Setting]:
+    """Return the settings that hold, the later ones last.
+
+    What an option's value implies lies below all that files say; what they say for one
+    value of an option lies over what they say for all.
+    """
+    plain = [one for one in settings if one.when is None]
+    chosen = {name: entry.default for name, entry in options.items()}
+    chosen |= {one.key: one.value for one in [*plain, *given.values()]}
+    some = [one for one in settings if one.when and chosen[one.when[0]] == one.when[1]]
+    return [
+        *(one for one in some if not one.source),
+        *plain,
+        *(one for one in some if one.source),
+    ]
+
+
 def _configs(recipe_path: Path) -> dict[str, Path]:
     """Named configurations: in the recipe's own folder first, then beside it."""
     folders = (recipe_path.parent, recipe_path.with_suffix(""))
@@ -262,12 +300,15 @@ def _read_yaml(
         problems.append(f"{path} must hold key: value lines")
         return None
     settings = _flatten(content, options, str(path))
-    keys = [setting.key for setting in settings]
+    keys = [(setting.key, setting.when) for setting in settings]
     problems += [
-        f"in {path}: option {key} is given twice"
+        f"in {path}: option {key[0]} is given twice"
         for key in dict.fromkeys(keys)
         if keys.count(key) > 1
     ]
+    for name, value in dict.fromkeys(one.when for one in settings if one.when):
+        if complaint := options[name].complaint(value):
+            problems.append(f"in {path}: option {name}: {complaint}")
     return settings
 
 
@@ -280,8 +321,15 @@ def _flatten(
     settings = []
     for name, value in content.items():
         key = f"{prefix}{name}"
-        # A dict-valued option is a leaf; every other mapping is a group.
-        if isinstance(value, Mapping) and key not in options:
+        option, equals, text = key.partition("=")
+        # A dict-valued option is a leaf; every other mapping is a group, or is for one
+        # value of an option.
+        if isinstance(value, Mapping) and equals and option in options:
+            when = (option, options[option].from_text(text))
+            settings += [
+                replace(one, when=when) for one in _flatten(value, options, source)
+            ]
+        elif isinstance(value, Mapping) and key not in options:
             settings += _flatten(value, options, source, f"{key}.")
         else:
             settings.append(_Setting(key, value, source))

@@ -22,6 +22,8 @@ from rlco.files import shown
 #: The default of an option that somebody must give.
 REQUIRED: str = MISSING
 _LONGEST_NAME = 100
+#: Defaults of other options, by the value of one.
+type Implied = Mapping[Any, Mapping[str, Any]]
 #: Where an earlier run's value of an option is the default of today.
 AS_NOW: Any = object()
 
@@ -105,6 +107,7 @@ def option(
     earlier: Any = AS_NOW,
     input: Literal["file", "folder"] | None = None,
     check: Callable[[Any], str | None] | None = None,
+    implies: Implied | None = None,
 ) -> Any:
     """Declare one option as a dataclass field.
 
@@ -121,6 +124,7 @@ def option(
         input: Whether it names files, or folders, that a run reads: a resumed run must
             find them as they were.
         check: Says what is wrong with a value, None where nothing is.
+        implies: By a value of this option, what other options then default to.
 
     Example:
         >>> @dataclass
@@ -138,6 +142,7 @@ def option(
         "earlier": earlier,
         "input": input,
         "check": check,
+        "implies": implies or {},
     }
     if isinstance(default, list | dict):
         return field(default_factory=default.copy, metadata=metadata)
@@ -159,6 +164,7 @@ class Option:
     earlier: Any = AS_NOW
     input: Literal["file", "folder"] | None = None
     check: Callable[[Any], str | None] | None = None
+    implies: Implied = field(default_factory=dict)
 
     @property
     def type_name(self) -> str:
@@ -282,7 +288,7 @@ def help_table(config_class: type, recipe_path: Path, configs: Iterable[str]) ->
     rows = [("option", "type", "default", "meaning")]
     for key, entry in options.items():
         default = "required" if entry.is_required else _show(entry.default)
-        rows.append((key, entry.type_name, default, entry.help + _limits(entry)))
+        rows.append((key, entry.type_name, default, _meaning(entry)))
     widths = [min(36, max(len(row[i]) for row in rows)) for i in range(3)]
     indent = sum(widths) + 6
     room = max(30, shutil.get_terminal_size((100, 24)).columns - indent)
@@ -335,6 +341,16 @@ def _show(default: Any) -> str:
     if default is None or isinstance(default, bool):
         return str(default).lower().replace("none", "null")
     return str(default)
+
+
+def _meaning(entry: Option) -> str:
+    """Return what an option means, its limits, and what its values imply."""
+    implied = "".join(
+        f"; {value} implies, unless given: "
+        + " ".join(f"{key}={_show(default)}" for key, default in defaults.items())
+        for value, defaults in entry.implies.items()
+    )
+    return entry.help + _limits(entry) + implied
 
 
 def _limits(entry: Option) -> str:

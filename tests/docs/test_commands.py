@@ -64,6 +64,7 @@ OPEN = {"quickstart": {"methods": "[rl_co]", "eval_domains": "[sim]"}}
 # search in full, on the model and the logs of docs/example.
 RUN_BY = {
     "quickstart.py": "recipes/test_chain.py",
+    "quickstart.py image=dense": "recipes/test_images.py",
     "find_gap.py model=docs/example/arm.xml data=docs/example/logs": "test_cli.py",
     "find_gap.py model=arm.xml data=logs": "test_cli.py",
     **dict.fromkeys(

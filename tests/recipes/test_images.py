@@ -2,25 +2,33 @@
 
 from __future__ import annotations
 
+import base64
 import gc
 import importlib
+import io
 import json
+import re
 import shutil
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
+from PIL import Image
 from recipe_cases import RL_CO, SFT, Assets, refused, start
+from torch.testing import assert_close
 
 from rlco.data import load_demos, load_task_demos
 from rlco.keys import ENVIRONMENT_STATE, IMAGE
+from rlco.physics.spec.domain import make_domain
 from rlco.physics.tasks.make_task import make_task
 from rlco.policies import load_policy
 from rlco.runs.metrics import read_metrics
 from rlco.training.options.policy_options import FlowOptions
 from rlco.training.stage_one import new_policy
+from rlco.videos import same_scene
 
 SEEN = ("image=conv", "image_size=64")
 ONE = [o for o in RL_CO if not o.startswith(("iterations", "critic_iterations"))]
@@ -212,6 +220,49 @@ def test_quickstart_hands_its_options_on() -> None:
         assert stage.augment
         assert stage.eval_domains == ["sim"]
         assert stage.effects_code == "mine.py"
+
+
+def test_a_scene_is_the_same_in_every_domain() -> None:
+    sim = make_domain("sim")
+    cameras = ("agentview", "robot0_eye_in_hand")
+    seen = same_scene("push_cube", (sim, replace(sim, name="twin")), cameras=cameras)
+    for camera in cameras:
+        assert np.array_equal(seen[camera]["sim"], seen[camera]["twin"])
+    assert len(np.unique(seen["agentview"]["sim"])) > 20
+    (other,) = same_scene("push_cube", ("sim",), index=1)["agentview"].values()
+    assert not np.array_equal(other, seen["agentview"]["sim"])
+
+
+@pytest.mark.slow
+def test_quickstart_tells_its_story_from_images_alone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rlco.training.pretraining.HELD_OUT", 4)
+    folder = tmp_path / "quick"
+    few = ["sim_demos=1", "real_demos=1", "heldout_demos=1", "updates=2", "film=false"]
+    few += ["pretrain_scenes=8", "pretrain_passes=1", "methods=[rl_co]"]
+    few += ["iterations=1", "num_envs=2", "eval_every=1", "curve_episodes=1"]
+    few += ["eval_domains=[sim]", "eval_episodes=1"]
+    start("quickstart", "image=dense", *few, out(folder))
+    policy, _ = load_policy(folder / "stages" / "rl_co" / "policy")
+    assert list(policy.cameras) == ["agentview", "robot0_eye_in_hand"]
+    assert ENVIRONMENT_STATE not in policy.in_keys
+    fixed = [
+        load_policy(folder / "stages" / one / "policy")[0].encoder.image.state_dict()
+        for one in ("sft", "rl_co")
+    ]
+    assert_close(dict(fixed[0]), dict(fixed[1]), atol=0, rtol=0)
+    page = (folder / "report.html").read_text()
+    assert "nothing tells them where objects are" in page
+    assert "learned where things are from 8 labelled scenes of sim" in page
+    (scene,) = re.findall(
+        r'<img src="data:image/png;base64,([^"]*)" alt="The same', page
+    )
+    assert base64.b64decode(scene) == (folder / "plots/same_scene.png").read_bytes()
+    with Image.open(io.BytesIO(base64.b64decode(scene))) as image:
+        said = image.info["Description"]
+    assert "agentview and robot0_eye_in_hand" in said
+    assert "in sim (the simulator as built) and in stand_in (a second sim" in said
 
 
 def test_data_and_policies_without_pictures(

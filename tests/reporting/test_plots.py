@@ -16,6 +16,7 @@ from rlco.reporting.plots import (
     episode_strip,
     forgetting,
     learning_curves,
+    same_scene,
     save_figure,
     success_bars,
 )
@@ -195,6 +196,26 @@ def test_every_figure_of_rlco_says_how_to_read_it() -> None:
         learning_curves([curve("sft", "sim", [0.1, 0.2, 0.3])]),
         anchor_strength([0, 1], [[1, 1]] * 3, [[0, 0]] * 3),
         forgetting({"sft": ([0, 1], [1, 1])}, {"sft": ([0, 1], [1, 1])}, "sim"),
+        same_scene({"agentview": {"sim": frame}}),
         episode_strip([frame], [0.0], "sim"),
     )
     assert [figure.get_suptitle() for figure in figures] == list(READING)
+
+
+def test_a_scene_is_shown_by_camera_and_domain_side_by_side(tmp_path: Path) -> None:
+    red, blue = (np.full((8, 8, 3), rgb, np.uint8) for rgb in ((200, 0, 0), (0, 0, 90)))
+    path = tmp_path / "scene.png"
+    figure = same_scene({"front": {"sim": red, "stand_in": blue}})
+    save_figure(figure, path)
+    with Image.open(path) as image:
+        pixels, about = np.asarray(image.convert("RGB")), image.info
+    (red_rows, red_columns), (blue_rows, blue_columns) = (
+        np.nonzero((pixels == colour[0, 0]).all(-1)) for colour in (red, blue)
+    )
+    assert red_columns.max() < blue_columns.min()
+    assert (red_rows.min(), red_rows.max()) == (blue_rows.min(), blue_rows.max())
+    assert np.ptp(red_columns) > 400  # large enough to be looked at [pixels]
+    assert [one.get_title() for one in figure.axes] == ["sim\nfront", "stand_in\nfront"]
+    assert "8 x 8 pixels" in about["Description"]
+    assert "stand_in (a second simulator, not a robot)" in about["Description"]
+    assert "stand_in, is a second simulator, not a robot" in about["Comment"]

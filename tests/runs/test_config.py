@@ -218,3 +218,49 @@ def test_resume_of_no_run_says_so(recipe: Path) -> None:
 
 def test_plain_configuration_holds_groups_as_dicts() -> None:
     assert to_plain(Config(data="x"))["ppo"] == {"lr": 3e-4, "epochs": 4}
+
+
+@dataclass
+class Implying(Config):
+    """A recipe's options, one of which implies others."""
+
+    task: Literal["push_cube", "open_drawer"] = option(
+        "push_cube",
+        "the task",
+        implies={"open_drawer": {"note": "slow", "sizes": [8], "ppo.epochs": 9}},
+    )
+
+
+def test_what_a_value_implies_lies_below_all_that_is_given(recipe: Path) -> None:
+    """By the task, the debug configuration, and the command line."""
+    plain = parse(Implying, ["config=debug"], recipe)
+    assert (plain.note, plain.sizes, plain.ppo.epochs) == (None, [64, 64], 2)
+    given = ["config=debug", "task=open_drawer", "note=mine"]
+    config = parse(Implying, given, recipe)
+    assert (config.note, config.sizes, config.ppo.epochs) == ("mine", [8], 2)
+
+
+def test_a_resumed_run_keeps_its_options_whatever_is_implied(tmp_path: Path) -> None:
+    (tmp_path / "config.yaml").write_text("data: x\ntask: open_drawer\n")
+    config = parse(Implying, [f"resume={tmp_path}"], tmp_path / "train.py")
+    assert config.sizes == [64, 64]
+
+
+def test_a_file_may_say_what_holds_for_one_value_of_an_option(recipe: Path) -> None:
+    path = recipe.parent / "some.yaml"
+    path.write_text(
+        "task=open_drawer:\n  sizes: [4]\n  ppo: {epochs: 3}\n"
+        "data: x\nsizes: [16]\nppo: {epochs: 5}\n"
+    )
+    other = parse(Implying, [f"config={path}"], recipe)
+    assert (other.sizes, other.ppo.epochs) == ([16], 5)
+    config = parse(Implying, [f"config={path}", "task=open_drawer"], recipe)
+    assert (config.note, config.sizes, config.ppo.epochs) == ("slow", [4], 3)
+    path.write_text("data: x\ntask: open_drawer\ntask=open_drawer: {sizes: [4]}\n")
+    assert parse(Config, [f"config={path}"], recipe).sizes == [4]
+    path.write_text("data: x\ntask=open_drawr: {weight: 1}\n")
+    (problem,) = problems(recipe, f"config={path}")
+    assert "option task: 'open_drawr' is not one of" in problem
+    path.write_text("data: x\ntask=open_drawer: {weight: 1}\n")
+    (problem,) = problems(recipe, f"config={path}", "task=open_drawer")
+    assert "unknown option 'weight'" in problem
