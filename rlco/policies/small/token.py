@@ -164,7 +164,7 @@ class TokenPolicy(ChunkPolicy):
         """
         path = stored_sample(tensordict)
         acting = self.acting_features(tensordict)
-        logits = self.guided(self._evaluate(features, path) for features in acting)
+        logits = self.guided(self._evaluate(one, path)[0] for one in acting)
         log_probs = functional.log_softmax(logits, -1)
         chosen = log_probs.gather(-1, path.unsqueeze(-1)).squeeze(-1)
         level = self.log_prob_level
@@ -190,12 +190,12 @@ class TokenPolicy(ChunkPolicy):
         features: torch.Tensor,
         tokens: torch.Tensor,
         hidden: torch.Tensor | None = None,
-    ) -> torch.Tensor:
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return tempered logits [B, H, A, bins] of tokens [B, H, A], in one pass."""
         context = self.observe(features).flatten(0, -2)
         flat = tokens.reshape(len(context), -1)
-        logits: torch.Tensor = self.network(context, flat, hidden)[0]
-        return logits.view(*tokens.shape, -1) / self.temperature
+        logits, first = self.network(context, flat, hidden)
+        return logits.view(*tokens.shape, -1) / self.temperature, first
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -260,7 +260,7 @@ class TokenPolicy(ChunkPolicy):
             rows = target.shape[:-2].numel()
             hidden = torch.rand(rows, device=target.device) < self.hidden_share
         features, tokens = self.features(tensordict), self.tokens.encode(before)
-        logits = self._evaluate(features, tokens, hidden)
+        logits, _ = self._evaluate(features, tokens, hidden)
         labels = self.tokens.labels[self.tokens.encode(target)]
         return -(labels * functional.log_softmax(logits, -1)).sum(-1).mean(-1)
 
