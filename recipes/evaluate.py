@@ -54,6 +54,10 @@ class Config(RunOptions):
         "how the images that it reads look: sim, stand_in, locked, random; null: as "
         "the domain says",
     )
+    guidance: float | None = option(
+        None,
+        "weight of the domain flag of a policy that reads one; null: as it was saved",
+    )
     episodes: int = option(256, "episodes, the first ones of the seed", minimum=1)
     videos: int = option(0, "episodes to film", minimum=0)
     effects_code: str | None = option(
@@ -85,6 +89,8 @@ def main(config: Config) -> None:
     if config.videos:
         check_filmed(config.task)
     policy = load_task_policy(config.policy, named_task(config.task))
+    if config.guidance is not None:
+        policy.set_guidance(config.guidance)
     check_rendered(policy, config.task, config.renderer)
     check_look(config.look, policy.image_size)
     # What is filmed is what is counted.
@@ -118,6 +124,8 @@ def main(config: Config) -> None:
         )
         if config.look:
             row["look"] = config.look
+        if config.guidance is not None:
+            row["guidance"] = config.guidance
         run.save_results([row])
         for index in range(config.videos):
             path = run.videos / f"{domain.name}_{index}.mp4"

@@ -33,6 +33,10 @@ INSTRUCTION = "language_instruction"
 #: The instruction as its index in the task's list of instructions, int64 [*B].
 #: Losses read this one: strings break torch.compile.
 INSTRUCTION_ID = "instruction_id"
+#: The domain that a row is from, float32 [*B, 1]: +1 real, -1 sim (`DOMAIN_FLAGS`), 0
+#: where it is not said. For policies with a domain flag, which take a batch without it
+#: as real.
+DOMAIN = "domain"
 
 
 def image_keys(cameras: Sequence[str]) -> tuple[tuple[str, ...], ...]:
@@ -99,3 +103,5 @@ STATE_VALUE = "state_value"  # float32 [*B, 1]
 # -- The two roots of a training batch -----------------------------------------
 SIM = "sim"
 REAL = "real"
+#: `DOMAIN` of a root's rows.
+DOMAIN_FLAGS = {SIM: -1.0, REAL: 1.0}

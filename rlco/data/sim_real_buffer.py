@@ -15,7 +15,7 @@ from torchrl.data import ReplayBuffer
 
 from rlco.data.row_split import RowSplit
 from rlco.errors import CheckpointError, ConfigError
-from rlco.keys import REAL, SIM
+from rlco.keys import DOMAIN, DOMAIN_FLAGS, REAL, SIM
 
 
 class SimRealReplayBuffer:
@@ -41,10 +41,14 @@ class SimRealReplayBuffer:
         sim_ratio: Share of sim rows, in [0, 1].
         batch_size: Rows of a batch, both roots together.
         generator: Source of randomness; None takes one seeded by torch's own.
+        domain_flag: Probability with which a row's flag of its domain is dropped. Each
+            batch then holds ``domain`` [n, 1], drawn anew: +1 for a real row, -1 for a
+            simulated one, 0 where it is dropped. None: no flags.
 
     Raises:
         ConfigError: A ratio outside [0, 1], a missing member, a batch too small to
-            hold a row of each, or a member that cannot be mixed; all reported together.
+            hold a row of each, a member that cannot be mixed, or a probability outside
+            [0, 1]; all reported together.
 
     Example:
         >>> from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
@@ -67,9 +71,16 @@ class SimRealReplayBuffer:
         sim_ratio: float,
         batch_size: int,
         generator: torch.Generator | None = None,
+        domain_flag: float | None = None,
     ) -> None:
-        if problems := _problems(sim, real, sim_ratio, batch_size):
+        problems = _problems(sim, real, sim_ratio, batch_size)
+        if domain_flag is not None and not 0.0 <= domain_flag <= 1.0:
+            problems.append(
+                f"domain_flag={domain_flag}, but a probability lies in [0, 1]"
+            )
+        if problems:
             raise ConfigError(problems)
+        self.domain_flag = domain_flag
         self.sim = sim
         self.real = real
         self.batch_size = batch_size
@@ -124,6 +135,7 @@ class SimRealReplayBuffer:
             batch.set(SIM, _draw(SIM, self.sim, n_sim))
         if total > n_sim:
             batch.set(REAL, _draw(REAL, self.real, total - n_sim))
+        self._set_flags(batch)
         return batch
 
     def __iter__(self) -> Iterator[TensorDict]:
@@ -152,6 +164,7 @@ class SimRealReplayBuffer:
             batch.set(SIM, self.sim[order[start : start + n_sim]])
             if n_real:
                 batch.set(REAL, _draw(REAL, self.real, n_real))
+            self._set_flags(batch)
             yield batch
             start += n_sim
 
@@ -222,6 +235,15 @@ class SimRealReplayBuffer:
             member.loads(path / name)
         generator = torch.from_numpy(np.load(path / "generator.npy"))
         self._restore(int(state["carry"]), generator)
+
+    def _set_flags(self, batch: TensorDict) -> None:
+        """Write from which domain rows are, and drop that of some; None: do nothing."""
+        if self.domain_flag is None:
+            return
+        for root, rows in batch.items():
+            drawn = torch.rand(len(rows), 1, generator=self._generator)
+            kept = (drawn >= self.domain_flag).to(drawn.dtype)
+            rows.set(DOMAIN, DOMAIN_FLAGS[root] * kept)
 
     def _mixing(self) -> dict[str, Any]:
         return {"sim_ratio": str(self._split.ratio), "carry": self._split.carry}

@@ -91,7 +91,7 @@ def features(policy: Any, frames: TensorDictBase) -> Tensor:
     try:
         with torch.no_grad():
             for part in frames.select(*policy.in_keys).split(ROWS):
-                policy.network(policy.encoder(part))
+                policy.network(policy.features(part))
     finally:
         hook.remove()
     return torch.cat(found)

@@ -9,6 +9,7 @@ from rlco.errors import ConfigError
 from rlco.runs.indices import format_indices, index_list
 from rlco.runs.options import rename_map
 from rlco.training.options import policy_options
+from rlco.training.options.domain_flag_options import check_domain_flag
 from rlco.training.options.policy_options import camera_list
 
 if TYPE_CHECKING:
@@ -84,7 +85,11 @@ def new_policy(options: StageOneOptions, task: AnyTask | None = None) -> ChunkPo
     """Return a new policy of the kind and the size that the options give."""
     task = task or task_of(options)
     return policy_options.new_policy(
-        options, task=task, chunk=options.chunk, hidden=list(options.hidden)
+        options,
+        task=task,
+        chunk=options.chunk,
+        hidden=list(options.hidden),
+        guidance=None if options.domain_flag is None else options.guidance,
     )
 
 
@@ -96,6 +101,7 @@ def check_stage_one(
 
     policy_options.check_image_options(options)
     check_pretraining(options)
+    check_domain_flag(options, options.alpha)
     policy = new_policy(options, task)
     if options.evaluated and options.eval_domains and options.task is not None:
         policy_options.check_rendered(policy, options.task)
@@ -265,6 +271,7 @@ def train_stage_one(
         demos.real,
         sim_ratio=options.alpha,
         batch_size=options.batch_size,
+        domain_flag=options.domain_flag,
     )
     loss = CoTrainingLoss(
         ImitationLoss(policy) if demos.sim is not None else None,
@@ -274,10 +281,12 @@ def train_stage_one(
     )
     imitate(options, run, policy, loss, buffer, demos.heldout, positions)
     policy.encoder.reads_stored = policy.images_fixed
+    dropped = options.domain_flag
+    flag = {} if dropped is None else {"domain_flag": dropped}
     save_policy(
         policy,
         run.path / "policy",
-        extra={"sim_ratio": options.alpha, **demos.task.description()},
+        extra={"sim_ratio": options.alpha, **flag, **demos.task.description()},
     )
     return policy
 

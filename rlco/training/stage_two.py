@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rlco import keys
 from rlco.errors import ConfigError
 from rlco.runs.indices import index_list
+from rlco.training.options.domain_flag_options import refuse_domain_flag
 from rlco.training.options.policy_options import (
     augment,
     check_look,
@@ -78,7 +79,7 @@ def load_stage_two(options: StageTwoOptions) -> tuple[ChunkPolicy, StageTwoDemos
     """Load the policy and the demonstrations, and check that they fit the task.
 
     Raises:
-        ConfigError: Options that cannot be.
+        ConfigError: Options that cannot be, or a policy that reads a domain flag.
         CheckpointError: A policy that cannot be loaded, or is of another task.
         DataError: A data set that does not fit the task.
     """
@@ -89,6 +90,7 @@ def load_stage_two(options: StageTwoOptions) -> tuple[ChunkPolicy, StageTwoDemos
 
     task = named_task(options.task)
     policy = load_task_policy(options.policy, task)
+    refuse_domain_flag(policy, options.policy)
     make_critic(options, policy)  # whether such a policy can have it shows here
     check_stage_two(options)
     check_rendered(policy, options.task)

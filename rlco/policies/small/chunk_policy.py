@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from typing import Any, ClassVar
 
 import torch
@@ -10,7 +12,17 @@ from tensordict.nn import InteractionType, TensorDictModuleBase
 from tensordict.nn.probabilistic import interaction_type
 
 from rlco.errors import ConfigError, DataError
-from rlco.keys import ACTION, CHUNK, IMAGE_FEATURES, LOG_PROB, SAMPLE, is_image
+from rlco.keys import (
+    ACTION,
+    CHUNK,
+    DOMAIN,
+    DOMAIN_FLAGS,
+    IMAGE_FEATURES,
+    LOG_PROB,
+    REAL,
+    SAMPLE,
+    is_image,
+)
 from rlco.physics.spec.actions import LIMIT
 from rlco.physics.spec.names import Renderer
 from rlco.policies.nets.encoder import ObservationEncoder, Quantiles, read
@@ -41,6 +53,13 @@ class ChunkPolicy(TensorDictModuleBase):
     range [-1, 1]; with ``action_limit=None`` no range is known, and only what is
     constant is widened, to ``MIN_UNLIMITED_RANGE`` = 0.001 in the action's own unit.
 
+    With ``guidance`` the policy reads a domain flag beside the observation: ``domain``
+    [*B, 1], +1 on the robot, -1 in the simulator, 0 where it is dropped. A batch that
+    has none is from the robot, so that no environment has to know of it. What acts is
+    ``out(0) + guidance * (out(flag) - out(0))``, classifier-free guidance (Ho and
+    Salimans, arXiv 2207.12598, whose w is guidance - 1), where ``out`` is a Gaussian's
+    mean, a flow's velocity or a token's logits. Imitation trains ``out(flag)`` itself.
+
     Args:
         state_size: dimension of the state.
         chunk: steps H of a chunk.
@@ -49,9 +68,11 @@ class ChunkPolicy(TensorDictModuleBase):
         num_instructions: instructions to tell apart; 0: not read.
         image: how images are read, see `rlco.policies.ImageArguments`; None: not.
         action_limit: raw actions are clipped to it; None leaves them as they are.
+        guidance: weight of guidance by the domain flag, 1 for the flag alone; None: no
+            flag is read.
 
     Raises:
-        ConfigError: sizes that are not positive.
+        ConfigError: sizes that are not positive, or a weight that is not finite.
         CheckpointError: the image encoder's weights cannot be loaded.
     """
 
@@ -69,6 +90,7 @@ class ChunkPolicy(TensorDictModuleBase):
         num_instructions: int,
         image: ImageArguments | None = None,
         action_limit: float | None = LIMIT,
+        guidance: float | None = None,
     ) -> None:
         super().__init__()
         if action_limit is not None and not action_limit > 0:
@@ -90,6 +112,9 @@ class ChunkPolicy(TensorDictModuleBase):
             self.arguments["image"] = saved_arguments(image)
         if action_limit != LIMIT:
             self.arguments["action_limit"] = action_limit
+        self.guidance: float | None = None
+        if guidance is not None:
+            self._set_guidance(guidance)
         self.action_limit = action_limit
         self.chunk, self.action_size = chunk, action_size
         self.encoder = ObservationEncoder(
@@ -106,6 +131,34 @@ class ChunkPolicy(TensorDictModuleBase):
         self.log_prob_keys: list[Any] = [LOG_PROB]
         self.replay_keys = [*self.in_keys, SAMPLE]
         self.out_keys = [SAMPLE, LOG_PROB, CHUNK, ACTION]
+
+    @property
+    def feature_size(self) -> int:
+        """Dimension of what `features` returns."""
+        return self.encoder.size + (self.guidance is not None)
+
+    def set_guidance(self, weight: float) -> None:
+        """Guide by another weight from now on; a saved policy keeps it.
+
+        Args:
+            weight: 1 for the flag alone, 0 for no flag.
+
+        Raises:
+            ConfigError: the policy reads no domain flag, or the weight is not finite.
+        """
+        if self.guidance is None:
+            raise ConfigError(
+                [
+                    f"guidance={weight} needs a policy that reads a domain flag, and "
+                    "this one reads none; train one with sft domain_flag=0.1"
+                ]
+            )
+        self._set_guidance(weight)
+
+    def _set_guidance(self, weight: float) -> None:
+        if not math.isfinite(weight):
+            raise ConfigError([f"guidance={weight} must be finite"])
+        self.guidance = self.arguments["guidance"] = float(weight)
 
     def set_normalization(
         self,
@@ -181,6 +234,51 @@ class ChunkPolicy(TensorDictModuleBase):
         ):
             with torch.no_grad():
                 tensordict.set(IMAGE_FEATURES, self.encoder.image_features(tensordict))
+
+    def features(self, tensordict: TensorDictBase) -> torch.Tensor:
+        """Return the encoded observation [*B, F], with the domain flag if it reads one.
+
+        Raises:
+            DataError: an entry is missing, or ``domain`` is not [*B, 1].
+        """
+        found: torch.Tensor = self.encoder(tensordict)
+        if self.guidance is None:
+            return found
+        shape = (*found.shape[:-1], 1)
+        flag = tensordict.get(DOMAIN, None)
+        if flag is None:
+            flag = found.new_full(shape, DOMAIN_FLAGS[REAL])
+        if flag.shape != shape:
+            raise DataError(
+                f"{DOMAIN!r} has shape {tuple(flag.shape)}, the observations "
+                f"{shape[:-1]}; give one number a row, of shape {shape}."
+            )
+        return torch.cat([found, flag.to(found)], -1)
+
+    def acting_features(self, tensordict: TensorDictBase) -> list[torch.Tensor]:
+        """Return the features that it acts by; for `guided` also those without a flag.
+
+        One [*B, F], or two of them where the weight of guidance is not 1.
+        """
+        found = self.features(tensordict)
+        if self.guidance in (None, 1.0):
+            return [found]
+        return [
+            found,
+            torch.cat([found[..., :-1], torch.zeros_like(found[..., :1])], -1),
+        ]
+
+    def guided(self, outputs: Iterable[torch.Tensor]) -> torch.Tensor:
+        """Return an output guided by the domain flag, of one for each acting feature.
+
+        Args:
+            outputs: what the network makes of `acting_features`, in their order.
+        """
+        flagged, *others = outputs
+        if self.guidance is None or not others:
+            return flagged
+        (unflagged,) = others
+        return unflagged + self.guidance * (flagged - unflagged)
 
     @property
     def explores(self) -> bool:

@@ -66,6 +66,7 @@ class FlowPolicy(ChunkPolicy):
         num_instructions: instructions to tell apart; 0: not read.
         image: how images are read, see `rlco.policies.ImageArguments`; None: not.
         action_limit: raw actions are clipped to it; None leaves them as they are.
+        guidance: weight of guidance by a domain flag; None: it reads none.
         hidden: width of each hidden layer.
         steps: denoising steps K.
         method: "flow_noise", "flow_sde" or "fpo".
@@ -111,6 +112,7 @@ class FlowPolicy(ChunkPolicy):
         num_instructions: int = 0,
         image: ImageArguments | None = None,
         action_limit: float | None = LIMIT,
+        guidance: float | None = None,
         hidden: Sequence[int] = (256, 256),
         steps: int = 4,
         method: FlowMethod = "flow_noise",
@@ -131,6 +133,7 @@ class FlowPolicy(ChunkPolicy):
             num_instructions=num_instructions,
             image=image,
             action_limit=action_limit,
+            guidance=guidance,
         )
         self.chain = FlowChain(
             method, steps, noisy_steps, noise_level, denoise_reduction
@@ -158,7 +161,7 @@ class FlowPolicy(ChunkPolicy):
         self.weight = action_size / (padded_size or action_size)
         low, high = noise_range
         self.network = FlowNetwork(
-            self.encoder.size,
+            self.feature_size,
             (chunk, action_size),
             hidden=hidden,
             noise_range=(low, high),
@@ -180,7 +183,7 @@ class FlowPolicy(ChunkPolicy):
         Raises:
             DataError: the batch lacks one of ``replay_keys``.
         """
-        return self._density(tensordict, self._velocity(tensordict))
+        return self._density(tensordict, self._guided(self._contexts(tensordict)))
 
     def _density(self, tensordict: TensorDictBase, velocity: Velocity) -> Distribution:
         """Return the density of the batch's own sample, given the velocity."""
@@ -209,10 +212,10 @@ class FlowPolicy(ChunkPolicy):
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Write sample, log-probability, chunk and action into ``tensordict``."""
         self.store_images(tensordict)
-        context = self.network.observe(self.encoder(tensordict))
-        velocity = partial(self.network, context)
-        batch, explores = context.shape[:-1], self.explores
-        noise = context.new_zeros(*batch, self.chunk, self.action_size)
+        contexts = self._contexts(tensordict)
+        velocity = self._guided(contexts)
+        batch, explores = contexts[0].shape[:-1], self.explores
+        noise = contexts[0].new_zeros(*batch, self.chunk, self.action_size)
         if explores:
             noise.normal_()
         noisy = self._prepare(tensordict, noise)
@@ -255,12 +258,24 @@ class FlowPolicy(ChunkPolicy):
         """
         target = self.demonstrated(tensordict)
         time, noise = self._draw(target, self.imitation_draws)
-        error = squared_error(self._velocity(tensordict), target, time, noise)
+        context = self.network.observe(self.features(tensordict))
+        error = squared_error(partial(self.network, context), target, time, noise)
         return error.mean((-3, -1)) * self.weight
 
-    def _velocity(self, tensordict: TensorDictBase) -> Velocity:
-        """Return the velocity, given the observations."""
-        return partial(self.network, self.network.observe(self.encoder(tensordict)))
+    def _contexts(self, tensordict: TensorDictBase) -> list[torch.Tensor]:
+        """Return what the velocity is told of what it acts by [B, width]."""
+        return list(map(self.network.observe, self.acting_features(tensordict)))
+
+    def _guided(self, contexts: list[torch.Tensor]) -> Velocity:
+        """Return the guided velocity; the noise of steps is that with the flag."""
+
+        def velocity(
+            x: torch.Tensor, time: torch.Tensor
+        ) -> tuple[torch.Tensor, torch.Tensor]:
+            found = [self.network(context, x, time) for context in contexts]
+            return self.guided(v for v, _ in found), found[0][1]
+
+        return velocity
 
     @staticmethod
     def _draw(like: torch.Tensor, draws: int) -> tuple[torch.Tensor, torch.Tensor]:

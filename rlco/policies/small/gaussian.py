@@ -75,6 +75,7 @@ class GaussianPolicy(ChunkPolicy):
         num_instructions: instructions to tell apart; 0: not read.
         image: how images are read, see `rlco.policies.ImageArguments`; None: not.
         action_limit: raw actions are clipped to it; None leaves them as they are.
+        guidance: weight of guidance by a domain flag; None: it reads none.
         hidden: width of each hidden layer.
         activation: "silu" or "tanh".
         layer_norm: whether hidden layers are normalised.
@@ -113,6 +114,7 @@ class GaussianPolicy(ChunkPolicy):
         num_instructions: int = 0,
         image: ImageArguments | None = None,
         action_limit: float | None = LIMIT,
+        guidance: float | None = None,
         hidden: Sequence[int] = (256, 256),
         activation: Activation = "silu",
         layer_norm: bool = False,
@@ -128,6 +130,7 @@ class GaussianPolicy(ChunkPolicy):
             num_instructions=num_instructions,
             image=image,
             action_limit=action_limit,
+            guidance=guidance,
         )
         stds = (std,) * action_size if isinstance(std, (int, float)) else tuple(std)
         _check(action_size, stds, imitation)
@@ -142,7 +145,7 @@ class GaussianPolicy(ChunkPolicy):
         self.imitation = imitation
         # A small gain: the first chunk is the middle of the demonstrated actions.
         self.network = Mlp(
-            self.encoder.size,
+            self.feature_size,
             chunk * action_size,
             hidden=hidden,
             activation=activation,
@@ -156,12 +159,13 @@ class GaussianPolicy(ChunkPolicy):
 
         Both sum over the chunk's steps and action dimensions.
         """
-        return Independent(self._normal(tensordict), 2, validate_args=False)
+        features = self.acting_features(tensordict)
+        flat = self.guided(map(self.network, features))
+        return Independent(self._normal(flat), 2, validate_args=False)
 
-    def _normal(self, tensordict: TensorDictBase) -> Normal:
-        """Return the distribution of each action number, [B, H, A]."""
-        flat = self.network(self.encoder(tensordict))
-        mean = flat.unflatten(-1, (self.chunk, self.action_size))
+    def _normal(self, flat: torch.Tensor) -> Normal:
+        """Return each action number's distribution [B, H, A] about means [B, HA]."""
+        mean = flat.view(*flat.shape[:-1], self.chunk, self.action_size)
         return Normal(mean, self.std().expand_as(mean), validate_args=False)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -184,7 +188,7 @@ class GaussianPolicy(ChunkPolicy):
             DataError: the chunk is missing or of another shape than the policy's.
         """
         target = self.demonstrated(tensordict)
-        normal: Distribution = self._normal(tensordict)
+        normal: Distribution = self._normal(self.network(self.features(tensordict)))
         if self.imitation == "mse":
             error: torch.Tensor = normal.mean - target
             return error.square().mean(-1)

@@ -50,6 +50,7 @@ class TokenPolicy(ChunkPolicy):
         num_instructions: instructions to tell apart; 0: not read.
         image: how images are read, see `rlco.policies.ImageArguments`; None: not.
         action_limit: raw actions are clipped to it; None leaves them as they are.
+        guidance: weight of guidance by a domain flag; None: it reads none.
         hidden: width of each hidden layer of the perceptron.
         width: features of a position of the transformer.
         layers: its blocks.
@@ -98,6 +99,7 @@ class TokenPolicy(ChunkPolicy):
         num_instructions: int = 0,
         image: ImageArguments | None = None,
         action_limit: float | None = LIMIT,
+        guidance: float | None = None,
         hidden: Sequence[int] = (256, 256),
         width: int = 64,
         layers: int = 1,
@@ -117,6 +119,7 @@ class TokenPolicy(ChunkPolicy):
             num_instructions=num_instructions,
             image=image,
             action_limit=action_limit,
+            guidance=guidance,
         )
         problems = check_level(log_prob_level)
         if not temperature > 0:
@@ -143,7 +146,7 @@ class TokenPolicy(ChunkPolicy):
         self.noise_std, self.hidden_share = noise_std, hidden_share
         self.tokens = ActionTokens(bins, bin_range, noise_std)
         *trunk, context = hidden
-        self.observe = Mlp(self.encoder.size, context, hidden=trunk or hidden)
+        self.observe = Mlp(self.feature_size, context, hidden=trunk or hidden)
         self.network = CausalTransformer(
             bins,
             chunk * action_size,
@@ -160,7 +163,8 @@ class TokenPolicy(ChunkPolicy):
             DataError: the batch holds no sample.
         """
         path = stored_sample(tensordict)
-        logits, _ = self._evaluate(tensordict, path)
+        acting = self.acting_features(tensordict)
+        logits = self.guided(self._evaluate(one, path)[0] for one in acting)
         log_probs = functional.log_softmax(logits, -1)
         chosen = log_probs.gather(-1, path.unsqueeze(-1)).squeeze(-1)
         level = self.log_prob_level
@@ -175,7 +179,7 @@ class TokenPolicy(ChunkPolicy):
 
         They know the observation and no token: what a value head reads.
         """
-        context = self.observe(self.encoder(tensordict))
+        context = self.observe(self.features(tensordict))
         flat = context.flatten(0, -2)
         start = torch.zeros(len(flat), 1, dtype=torch.int64, device=flat.device)
         first: torch.Tensor = self.network(flat, start)[1]
@@ -183,12 +187,12 @@ class TokenPolicy(ChunkPolicy):
 
     def _evaluate(
         self,
-        tensordict: TensorDictBase,
+        features: torch.Tensor,
         tokens: torch.Tensor,
         hidden: torch.Tensor | None = None,
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return tempered logits [B, H, A, bins] of tokens [B, H, A], in one pass."""
-        context = self.observe(self.encoder(tensordict)).flatten(0, -2)
+        context = self.observe(features).flatten(0, -2)
         flat = tokens.reshape(len(context), -1)
         logits, first = self.network(context, flat, hidden)
         return logits.view(*tokens.shape, -1) / self.temperature, first
@@ -201,21 +205,27 @@ class TokenPolicy(ChunkPolicy):
             RlcoError: probabilities are not finite.
         """
         self.store_images(tensordict)
-        context = self.observe(self.encoder(tensordict))
-        tokens, log_probs = self._draw(context.flatten(0, -2))
-        shape = (*context.shape[:-1], self.chunk, self.action_size)
+        contexts = list(map(self.observe, self.acting_features(tensordict)))
+        tokens, log_probs = self._draw([one.flatten(0, -2) for one in contexts])
+        shape = (*contexts[0].shape[:-1], self.chunk, self.action_size)
         sample = tokens.view(shape)
         tensordict.set(SAMPLE, sample)
         tensordict.set(LOG_PROB, per_level(log_probs.view(shape), self.log_prob_level))
         self.act(tensordict, self.tokens.decode(sample))
         return tensordict
 
-    def _draw(self, context: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def _draw(
+        self, contexts: Sequence[torch.Tensor]
+    ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return tokens [N, P] and their log-probabilities, one after the other."""
-        caches, last = self.network.start(context), None
+        told = [(context, self.network.start(context)) for context in contexts]
+        last = None
         tokens, log_probs = [], []
         for position in range(self.chunk * self.action_size):
-            logits = self.network.step(context, last, position, caches)
+            logits = self.guided(
+                self.network.step(context, last, position, caches)
+                for context, caches in told
+            )
             log_softmax = functional.log_softmax(logits / self.temperature, -1)
             if self.explores:
                 last = _drawn(log_softmax.exp())
@@ -249,7 +259,8 @@ class TokenPolicy(ChunkPolicy):
         if self.hidden_share:
             rows = target.shape[:-2].numel()
             hidden = torch.rand(rows, device=target.device) < self.hidden_share
-        logits, _ = self._evaluate(tensordict, self.tokens.encode(before), hidden)
+        features, tokens = self.features(tensordict), self.tokens.encode(before)
+        logits, _ = self._evaluate(features, tokens, hidden)
         labels = self.tokens.labels[self.tokens.encode(target)]
         return -(labels * functional.log_softmax(logits, -1)).sum(-1).mean(-1)
 

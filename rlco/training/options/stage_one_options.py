@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from rlco.runs.config import folder_name, option
+from rlco.training.options.domain_flag_options import DomainFlagOptions
 from rlco.training.options.policy_options import LARGEST_LR, PolicyOptions
 from rlco.training.options.pretraining_options import PretrainingOptions
 
@@ -13,7 +14,7 @@ SIM_RATIO, EVAL_EPISODES = 0.5, 128
 
 
 @dataclass
-class StageOneOptions(PretrainingOptions, PolicyOptions):
+class StageOneOptions(DomainFlagOptions, PretrainingOptions, PolicyOptions):
     """Options of Stage I."""
 
     name: str = option(

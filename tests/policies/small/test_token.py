@@ -68,11 +68,11 @@ def test_bins_stay_apart_where_the_network_is_bfloat16() -> None:
 def test_a_token_depends_on_earlier_tokens_alone() -> None:
     policy = tiny("token")
     td = policy(observations(1))
-    logits, first = policy._evaluate(td, td[SAMPLE])
+    logits, first = policy._evaluate(policy.features(td), td[SAMPLE])
     for position in range(4):
         changed = td[SAMPLE].flatten(1).clone()
         changed[:, position] = (changed[:, position] + 1) % 6
-        other, same = policy._evaluate(td, changed.view(1, 2, 2))
+        other, same = policy._evaluate(policy.features(td), changed.view(1, 2, 2))
         difference = (other - logits).abs().amax(-1).flatten()
         assert (difference[: position + 1] == 0).all()
         assert (difference[position + 1 :] > 1e-4).all()
@@ -156,7 +156,7 @@ def test_a_policy_that_diverged_draws_nothing() -> None:
 def test_temperature_divides_the_logits() -> None:
     policy = tiny("token")
     td = policy(observations(3))
-    logits, _ = policy._evaluate(td, td[SAMPLE])
+    logits, _ = policy._evaluate(policy.features(td), td[SAMPLE])
     policy.temperature = 1.7
     scaled = torch.log_softmax(logits / 1.7, -1)
     expected = scaled.gather(-1, td[SAMPLE].unsqueeze(-1)).sum((-3, -2, -1))
@@ -192,7 +192,7 @@ def test_without_exploration_each_token_is_the_likeliest() -> None:
     with set_exploration_type(ExplorationType.DETERMINISTIC):
         td = policy(td)
         again = policy(td.clone())
-    logits, _ = policy._evaluate(td, td[SAMPLE])
+    logits, _ = policy._evaluate(policy.features(td), td[SAMPLE])
     assert torch.equal(td[SAMPLE], logits.argmax(-1))
     assert torch.equal(td["action"], again["action"])
 
