@@ -61,19 +61,6 @@ class Residual:
 
 
 @dataclass(frozen=True)
-class Outside:
-    """What acts at a joint that was set free, outside the library.
-
-    Attributes:
-        problem: The robot and its log without it.
-        form: Its torque.
-    """
-
-    problem: Problem
-    form: FreeForm
-
-
-@dataclass(frozen=True)
 class State:
     """Everything that a search has found so far.
 
@@ -100,8 +87,8 @@ class State:
         plain: Share of the gap that single effects explain without any tolerance,
             where nothing is named.
         lateness: Times of commands that arrive late at random; None where they do not.
-        outside: What acts at a joint that the effects were found beside; None where
-            every joint has its own torque alone.
+        as_it_is: The robot and its log without the torque from outside that the effects
+            were found beside, `free_form`; None where there is none.
     """
 
     setting: Setting
@@ -122,7 +109,7 @@ class State:
     free_form: FreeForm | None = None
     plain: Mapping[Candidate, float] = field(default_factory=dict)
     lateness: Lateness | None = None
-    outside: Outside | None = None
+    as_it_is: Problem | None = None
 
     @property
     def none(self) -> Scored:

@@ -76,7 +76,7 @@ def conclude(state: State, *, complete: bool = True, seconds: float = 0.0) -> Ve
 def _unexplained(state: State, residual: Residual) -> Mapping[str, object]:
     """Describe the held-out residual, and whether model tolerance may explain it."""
     setting, best, named = state.setting, found(state), kind(state)
-    if state.outside is not None:
+    if state.as_it_is is not None:
         return _beside_outside(residual)
     after = setting.heldout_error(best)
     calibrated = setting.problem.calibration

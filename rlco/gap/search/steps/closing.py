@@ -62,10 +62,10 @@ def residual(state: State) -> State:
     """Determine the remaining gap with the named effects, and its channel."""
     setting, hypothesis = state.setting, Hypothesis(found(state).effects)
     both = [Hypothesis(), hypothesis] if hypothesis.effects else [hypothesis]
-    problem = state.outside.problem if state.outside else setting.problem
+    problem = state.as_it_is or setting.problem
     rows = problem.residuals(both)
     what = Residual(_gap(setting, rows[0], rows[-1]))
-    if state.outside is not None or not is_noise(state):
+    if state.as_it_is is not None or not is_noise(state):
         target, note = describe_residual(problem, hypothesis, rows[-1])
         what = replace(what, target=target, note=note)
     return replace(state, residual=what)

@@ -29,8 +29,6 @@ _SECOND = 1.0  # between knots of the torque over time [s]
 def free_form(state: State) -> State:
     """Return the state with the free form that does clearly better, if there is one."""
     setting, problem = state.setting, state.setting.problem
-    if state.outside is not None:
-        return replace(state, free_form=state.outside.form)
     if state.free_form is not None or kind(state) not in (*NAMED, "unexplained"):
         return state
     if not isinstance(problem, ArmRollouts):

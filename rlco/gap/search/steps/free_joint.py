@@ -34,7 +34,7 @@ from rlco.gap.logs.log import Array
 from rlco.gap.search.fit import candidates_of
 from rlco.gap.search.judge import NAMED, kind
 from rlco.gap.search.setting import Free, Scored, training_first
-from rlco.gap.search.state import Outside, State
+from rlco.gap.search.state import State
 from rlco.gap.search.steps.drop import drop
 from rlco.gap.search.steps.elsewhere import Additions, begun_with
 from rlco.gap.search.steps.start import start
@@ -53,7 +53,6 @@ _PARTS = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
 _SMALLER = 0.1  # share of what is left by which a round must lower it to be followed
 _SEARCHES = 2  # each beside the torque that is left by what the one before found
 _KNOTS = 8  # of the torque that is drawn over position and over velocity
-_DRAWN = 0.25  # between points of the torque that is drawn over time [s]
 
 
 @dataclass(frozen=True)
@@ -89,12 +88,12 @@ def free_joint(state: State, additions: Additions) -> Generator[State, None, Sta
     for base, joint in _likely(state, problem)[:JOINTS]:
         yield state
         found = yield from _beside(state, problem, base, joint, additions)
-        if found is None or found.outside is None:
+        if found is None:
             continue
         if found.best.effects and kind(found) in NAMED:
             return found
         # No effect is named beside it, but it is there.
-        return replace(state, free_form=found.outside.form)
+        return replace(state, free_form=found.free_form)
     return state
 
 
@@ -200,7 +199,8 @@ def _beside(
             break
     if not _is_worth_it(state.best, found.best):
         return None
-    return replace(found, outside=_outside(state, problem, found, freed))
+    form = _drawn(state, problem, found, freed)
+    return replace(found, as_it_is=problem, free_form=form)
 
 
 def _without_small(state: State) -> State:
@@ -303,10 +303,8 @@ def _estimated(
     return _Freed(moved, torques, total)
 
 
-def _outside(
-    state: State, problem: ArmRollouts, found: State, freed: _Freed
-) -> Outside:
-    """Return what acts at the free joint, as it is drawn."""
+def _drawn(state: State, problem: ArmRollouts, found: State, freed: _Freed) -> FreeForm:
+    """Return the torque of the free joint, as it is drawn."""
     effects = found.best.effects
     setting, torques = state.setting, freed.torques
     order = training_first(problem, setting.train, setting.heldout)
@@ -319,14 +317,13 @@ def _outside(
     before = np.cumsum([0.0, *(one.seconds for one in logs)])[:-1]
     begins = before - np.array([one.time[0] for one in logs])
     time = torques.time + begins[torques.recording]
-    form = FreeForm(
+    return FreeForm(
         torques.joint,
         1.0 - found.best.error / without,
         _means(position, torque),
         _means(velocity, torque),
         np.stack([time, torque]),
     )
-    return Outside(problem, form)
 
 
 def _motion(problem: ArmRollouts, torques: TorqueOverTime) -> tuple[Array, Array]:
