@@ -35,6 +35,7 @@ from rlco.gap.search.fit import candidates_of
 from rlco.gap.search.judge import NAMED, kind
 from rlco.gap.search.setting import Free, Scored, training_first
 from rlco.gap.search.state import State
+from rlco.gap.search.steps.closing import SENSITIVE
 from rlco.gap.search.steps.drop import drop
 from rlco.gap.search.steps.elsewhere import Additions, begun_with
 from rlco.gap.search.steps.start import start
@@ -81,6 +82,10 @@ def free_joint(state: State, additions: Additions) -> Generator[State, None, Sta
     """
     problem = state.setting.problem
     if _left(state.best) <= LEFT or state.lateness is not None:
+        return state
+    # Where a motor hardly holds its arm, small differences of the model decide on its
+    # course, and a torque that makes up for them hides how uncertain effects are.
+    if state.sensitivity > SENSITIVE:
         return state
     # With one joint, nothing tells a free torque from an effect.
     if not isinstance(problem, ArmRollouts) or len(problem.log.joints) < 2:

@@ -89,6 +89,27 @@ def test_what_remains_is_that_of_the_model_without_the_knocks(knocked: Verdict) 
     assert knocked.unexplained["target"] == "shoulder"
 
 
+def _weak(model: mujoco.MjModel) -> None:
+    model.actuator_gainprm[1, 0] *= 0.6
+    model.actuator_biasprm[1, 1] *= 0.6
+
+
+def _ripple(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    data.qfrc_applied[0] = 0.5 * np.sin(14.0 * data.qpos[0])
+
+
+@pytest.mark.slow
+def test_an_effect_is_named_beside_a_torque_that_the_library_lacks() -> None:
+    log = record(_weak, _ripple)
+    problem = ArmRollouts(mujoco.MjSpec.from_string(TWO_LINKS), log, np.full(2, 4e-4))
+    verdict = find_gap(problem, exclude=("cogging", "hardening_spring"))
+    (named,) = verdict.effects
+    assert (named.name, named.target) == ("actuator_gain", "elbow")
+    assert named.parameters["factor"].value == pytest.approx(0.6, rel=0.01)
+    assert verdict.free_form is not None
+    assert verdict.free_form.target == "shoulder"
+
+
 def test_where_an_effect_explains_all_no_joint_is_set_free() -> None:
     problem = _problem(quiet=True)
     first = start(problem, exclude=_others(problem))
