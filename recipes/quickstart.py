@@ -299,14 +299,14 @@ def draw(config: Config, run: Run, rows: list[ResultRow], curves: list[str]) -> 
         episodes=config.curve_episodes,
     )
     if config.reads_images:
-        seen = same_scene(
+        images = same_scene(
             config.task,
             (config.train_domain, config.real_domain),
             cameras=camera_list(config.camera),
             image_size=(config.image_size, config.image_size),
             renderer=config.renderer,
         )
-        plots.save_figure(plots.same_scene(seen), run.plots / "same_scene.png")
+        plots.save_figure(plots.same_scene(images), run.plots / "same_scene.png")
 
 
 def film(config: Config, run: Run, method: str, policy: Any, domain: Domain) -> None:

@@ -138,7 +138,7 @@ def same_scene(
     Raises:
         RenderingError: If no renderer is available.
     """
-    seen: dict[str, dict[str, NDArray[np.uint8]]] = {name: {} for name in cameras}
+    images: dict[str, dict[str, NDArray[np.uint8]]] = {name: {} for name in cameras}
     for domain in map(make_domain, domains):
         env = make_env(
             task,
@@ -151,6 +151,6 @@ def same_scene(
         env.start_at(index)
         start = env.reset()
         for name, key in zip(cameras, keys.image_keys(cameras), strict=True):
-            seen[name][domain.name] = start[key][0].permute(1, 2, 0).numpy()
+            images[name][domain.name] = start[key][0].permute(1, 2, 0).numpy()
         env.close()
-    return seen
+    return images

@@ -249,19 +249,19 @@ def same_scene(images: Mapping[str, Mapping[str, npt.NDArray[np.uint8]]]) -> Fig
     Args:
         images: By camera and domain, all of one size. Shape (height, width, 3) each.
     """
-    shown = [
+    panes = [
         (camera, domain, image)
         for camera, by_domain in images.items()
         for domain, image in by_domain.items()
     ]
-    height, width = shown[0][2].shape[:2]
-    tall = WIDTH / len(shown) * height / width + 1.1
-    figure, panels = new_figure(SAME_SCENE, len(shown), height=tall)
-    for axes, (camera, domain, image) in zip(panels, shown, strict=True):
+    height, width = panes[0][2].shape[:2]
+    tall = WIDTH / len(panes) * height / width + 1.1
+    figure, panels = new_figure(SAME_SCENE, len(panes), height=tall)
+    for axes, (camera, domain, image) in zip(panels, panes, strict=True):
         axes.imshow(image, interpolation="nearest")
         axes.set_axis_off()
         axes.set_title(f"{domain}\n{camera}", fontsize=10, color=INK)
-    domains = dict.fromkeys(domain_label(domain) for _, domain, _ in shown)
+    domains = dict.fromkeys(domain_label(domain) for _, domain, _ in panes)
     caption(
         figure,
         f"Images of {' and '.join(images)} as an episode starts, {width} x {height} "

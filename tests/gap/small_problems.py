@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
 from pathlib import Path
 
 import mujoco
@@ -10,6 +10,7 @@ import numpy as np
 
 from rlco.gap.compare.problem import Candidate, Hypothesis, Layout, Problem
 from rlco.gap.logs.log import Array, Log, Recording
+from rlco.gap.search.state import State
 from rlco.physics.effects import EFFECTS, AppliedEffect
 
 ARM = """
@@ -253,3 +254,12 @@ def ball_problem(stiffness: float = -800.0) -> Ball:
     place += np.random.default_rng(0).normal(0.0, NOISE, place.shape)
     pose = np.concatenate([place, np.tile([1.0, 0, 0, 0], (len(time), 1))], axis=1)
     return Ball(Log((Recording("toss", time, pose=pose),), body="ball"))
+
+
+def last_state(steps: Generator[State, None, State]) -> State:
+    """Return what a step of a search returns in the end."""
+    while True:
+        try:
+            next(steps)
+        except StopIteration as ended:
+            return ended.value

@@ -263,7 +263,7 @@ class FlowPolicy(ChunkPolicy):
         return error.mean((-3, -1)) * self.weight
 
     def _contexts(self, tensordict: TensorDictBase) -> list[torch.Tensor]:
-        """Return what the velocity is told of what it acts by [B, width]."""
+        """Return the features that the velocity acts by [B, width]."""
         return list(map(self.network.observe, self.acting_features(tensordict)))
 
     def _guided(self, contexts: list[torch.Tensor]) -> Velocity:

@@ -218,13 +218,13 @@ class TokenPolicy(ChunkPolicy):
         self, contexts: Sequence[torch.Tensor]
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Return tokens [N, P] and their log-probabilities, one after the other."""
-        told = [(context, self.network.start(context)) for context in contexts]
+        cached = [(one, self.network.start(one)) for one in contexts]
         last = None
         tokens, log_probs = [], []
         for position in range(self.chunk * self.action_size):
             logits = self.guided(
                 self.network.step(context, last, position, caches)
-                for context, caches in told
+                for context, caches in cached
             )
             log_softmax = functional.log_softmax(logits / self.temperature, -1)
             if self.explores:

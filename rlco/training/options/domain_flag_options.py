@@ -1,4 +1,4 @@
-"""Options of a policy that is told from which domain a row is."""
+"""Options of a policy that reads from which domain a row is."""
 
 from __future__ import annotations
 

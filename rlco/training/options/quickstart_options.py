@@ -8,6 +8,7 @@ from typing import Any, Literal
 from rlco.runs.config import distinct, folder_name, option
 from rlco.training.options.policy_options import LARGEST_LR, PolicyOptions
 from rlco.training.options.pretraining_options import PretrainingOptions
+from rlco.training.options.training_domain_options import TrainingDomainOptions
 
 METHODS = ("real_only", "sft", "rl_only", "rl_co")
 #: What image=dense implies: images alone, by an encoder that learns from labelled
@@ -25,7 +26,7 @@ FROM_IMAGES: dict[str, Any] = {
 
 
 @dataclass
-class QuickstartOptions(PretrainingOptions, PolicyOptions):
+class QuickstartOptions(TrainingDomainOptions, PretrainingOptions, PolicyOptions):
     """Options of quickstart.py."""
 
     name: str = option(
@@ -89,14 +90,6 @@ class QuickstartOptions(PretrainingOptions, PolicyOptions):
         "domain of the simulated demonstrations and of Stage II: a name, "
         "MODULE:NAME, or the path of an effects.yaml",
         input="file",
-    )
-    train_sample: Literal["none", "posterior"] = option(
-        "none",
-        "posterior: each episode of Stage II draws one of the parameter sets in "
-        "train_domain's file",
-    )
-    effects_code: str | None = option(
-        None, "Python file that registers effects of your own", input="file"
     )
 
     @property

@@ -15,7 +15,7 @@ import numpy as np
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.compare.segments import earlier_steps, joint_velocity
-from rlco.gap.logs.log import Array
+from rlco.gap.logs.log import Array, Recording
 from rlco.physics.effects.targets import actuator_of
 
 _PLACES = np.linspace(0.02, 0.98, 6)  # of the knots, quantiles of the position
@@ -51,6 +51,21 @@ def hats(values: Array, knots: Array) -> Array:
     return np.stack([np.interp(values, knots, row) for row in np.eye(len(knots))])
 
 
+def servo_gain(problem: ArmRollouts, hypothesis: Hypothesis, actuator: int) -> float:
+    """Return the torque of a servo per unit of its command [N m/rad or N/m]."""
+    model = problem.compiled(hypothesis)
+    return float(model.actuator_gainprm[actuator, 0] * model.actuator_gear[actuator, 0])
+
+
+def session_begins(logs: Sequence[Recording]) -> Array:
+    """Return what to add to each recording's clock so that they follow one another [s].
+
+    Shape (recordings,).
+    """
+    before = np.cumsum([0.0, *(one.seconds for one in logs)])[:-1]
+    return np.asarray(before - np.array([one.time[0] for one in logs]))
+
+
 def free_torque(
     problem: ArmRollouts,
     hypothesis: Hypothesis,
@@ -68,8 +83,7 @@ def free_torque(
     actuator = actuator_of(problem.model, joint)
     if actuator < 0:
         return None
-    model = problem.compiled(hypothesis)
-    gain = float(model.actuator_gainprm[actuator, 0] * model.actuator_gear[actuator, 0])
+    gain = servo_gain(problem, hypothesis, actuator)
     column = problem.log.joints.index(joint)
     logs = [problem.log.recordings[index] for index in recordings]
     position = [np.asarray(one.position, dtype=float)[:, column] for one in logs]
@@ -79,7 +93,7 @@ def free_torque(
     if gain == 0.0 or fastest == 0.0 or not (np.diff(places) > 0).all():
         return None
     speeds = fastest * _SPEEDS
-    small = _SMALL * abs(gain) if model.actuator_biasprm[actuator, 1] else 0.0
+    small = _SMALL * abs(gain) if problem.model.actuator_biasprm[actuator, 1] else 0.0
     small = small or _SMALL
     step = float(problem.model.opt.timestep)
     pushes: list[dict[int, Array]] = [{} for _ in range(len(places) + len(speeds))]

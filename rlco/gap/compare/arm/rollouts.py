@@ -260,12 +260,15 @@ class ArmRollouts(Problem):
             joint: The joint; the same as in this problem, if that has such torques.
             torques: By recording, one at each physics step from the first of its
                 commands, (steps,) [N m or N].
+
+        Raises:
+            ValueError: This problem has such torques at another joint.
         """
-        other = copy(self)
-        if self._torques is not None:
-            known = self._torques[1]
-            torques = {i: known.get(i, 0.0) + one for i, one in torques.items()}
-        other._torques = joint, torques
+        other, (at, known) = copy(self), self._torques or (joint, {})
+        if at != joint:
+            raise ValueError(f"torques act at {at!r}, so none can at {joint!r} besides")
+        added = {i: known.get(i, 0.0) + one for i, one in torques.items()}
+        other._torques = joint, {**known, **added}
         return other
 
     def _outside(

@@ -11,19 +11,19 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rlco.gap.compare.arm.free_torque import hats
+from rlco.gap.compare.arm.free_torque import hats, servo_gain
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis, Integers
-from rlco.gap.compare.segments import command_steps
+from rlco.gap.compare.segments import command_steps, joint_velocity
 from rlco.gap.logs.log import Array
 from rlco.physics.effects.targets import actuator_of
 
-USUAL = 0.1  # size of a column, as a servo's error [rad or m]
+_USUAL = 0.1  # size of a column, as a servo's error [rad or m]
 _SPACING = 0.1  # of the hats [s]
 _MOST = 800  # hats in all: in longer logs they are further apart
 _REMEMBERED = 0.8  # time in which an arm forgets a push [s]
 _SMALL = 0.05  # part of the usual size that is tried
-_READINGS = np.linspace(0.01, 0.99, 8)  # of the knots, quantiles of the position
+_QUANTILES = np.linspace(0.01, 0.99, 8)  # of the position: knots of its error
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def torque_over_time(
     actuator = actuator_of(problem.model, joint)
     if actuator < 0:
         return None
-    torque = USUAL * abs(_gain(problem, hypothesis, actuator))
+    torque = _USUAL * abs(servo_gain(problem, hypothesis, actuator))
     if torque == 0.0:
         return None
     knots = _knots(problem)
@@ -129,11 +129,6 @@ def _each_step(problem: ArmRollouts, index: int, times: Array, amounts: Array) -
     return np.asarray(np.interp(steps, times, amounts) * (steps >= times[0]))
 
 
-def _gain(problem: ArmRollouts, hypothesis: Hypothesis, actuator: int) -> float:
-    model = problem.compiled(hypothesis)
-    return float(model.actuator_gainprm[actuator, 0] * model.actuator_gear[actuator, 0])
-
-
 def _knots(problem: ArmRollouts) -> list[Array]:
     """Return the times of each recording's hats [s]."""
     logs = problem.log.recordings
@@ -145,19 +140,34 @@ def _knots(problem: ArmRollouts) -> list[Array]:
     ]
 
 
+def at_times(
+    problem: ArmRollouts, joint: str, recording: Integers, time: Array
+) -> tuple[Array, Array]:
+    """Return position and velocity of a joint at times of recordings, (T,) both.
+
+    Args:
+        problem: The robot and its log.
+        joint: The joint.
+        recording: Recording of each time, (T,).
+        time: On its clock [s], (T,).
+    """
+    column = problem.log.joints.index(joint)
+    position, velocity = np.zeros(len(time)), np.zeros(len(time))
+    for index, one in enumerate(problem.log.recordings):
+        own = recording == index
+        path = np.asarray(one.position, dtype=float)[:, column]
+        position[own] = np.interp(time[own], one.time, path)
+        speed = joint_velocity(one)[:, column]
+        velocity[own] = np.interp(time[own], one.time, speed)
+    return position, velocity
+
+
 def _misread(problem: ArmRollouts, joint: str) -> Array:
     """Return the change by an encoder's error at several positions, (P, N)."""
-    column = problem.log.joints.index(joint)
-    logs = problem.log.recordings
-    told = np.concatenate([np.asarray(one.position)[:, column] for one in logs])
-    places = np.unique(np.quantile(told.astype(float), _READINGS))
     layout = problem.layout
-    rows = np.zeros((len(places), len(layout.channel)))
-    own = np.flatnonzero(layout.channel == column)
-    position = np.zeros(len(own))
-    for index, one in enumerate(logs):
-        near = layout.recording[own] == index
-        path = np.asarray(one.position, dtype=float)[:, column]
-        position[near] = np.interp(layout.time[own][near], one.time, path)
-    rows[:, own] = -USUAL * hats(position, places)
+    own = np.flatnonzero(layout.channel == problem.log.joints.index(joint))
+    position, _ = at_times(problem, joint, layout.recording[own], layout.time[own])
+    knots = np.unique(np.quantile(position, _QUANTILES))
+    rows = np.zeros((len(knots), len(layout.channel)))
+    rows[:, own] = -_USUAL * hats(position, knots)
     return rows

@@ -12,7 +12,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from rlco.gap.compare.arm.free_torque import FreeTorque, free_torque, hats
+from rlco.gap.compare.arm.free_torque import (
+    FreeTorque,
+    free_torque,
+    hats,
+    session_begins,
+)
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import FreeForm, Hypothesis
 from rlco.gap.logs.log import Array
@@ -109,8 +114,7 @@ def _over_time(
     as a constant one does, by as much as it is at that time.
     """
     layout, log = setting.problem.layout, setting.problem.log
-    begins = np.cumsum([0.0, *(one.seconds for one in log.recordings)])
-    begins = begins[:-1] - np.array([one.time[0] for one in log.recordings])
+    begins = session_begins(log.recordings)
     order = training_first(setting.problem, setting.train, setting.heldout)
     when = (layout.time + begins[layout.recording])[order]
     knots = np.arange(when.min(), when.max() + _SECOND, _SECOND)

@@ -1,4 +1,4 @@
-"""Set the torque of one joint free where much is left, and search beside it.
+"""Set the torque of one joint free where the residual is large; search beside it.
 
 Knocks, a cable, a drift or a worn encoder act at one joint in a way that no effect of a
 library describes, and no other recording repeats. What they do hides what effects do at
@@ -21,19 +21,20 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
-from rlco.gap.compare.arm.free_torque import hats
+from rlco.gap.compare.arm.free_torque import hats, session_begins
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.arm.torque_over_time import (
     TorqueOverTime,
+    at_times,
     torque_over_time,
     with_amounts,
 )
 from rlco.gap.compare.problem import Candidate, FreeForm, Hypothesis
-from rlco.gap.compare.segments import joint_velocity
+from rlco.gap.compare.stability.instability import UnstableModelError
 from rlco.gap.logs.log import Array
 from rlco.gap.search.fit import candidates_of
 from rlco.gap.search.judge import NAMED, kind
-from rlco.gap.search.setting import Free, Scored, training_first
+from rlco.gap.search.setting import Free, Scored
 from rlco.gap.search.state import State
 from rlco.gap.search.steps.closing import SENSITIVE
 from rlco.gap.search.steps.drop import drop
@@ -43,15 +44,15 @@ from rlco.gap.search.whitening import often
 from rlco.physics.effects import AppliedEffect
 from rlco.physics.effects.sensing import ENCODER_SCALE, JOINT_OFFSET
 
-LEFT = 1.15  # error over the noise, in all recordings, from which a joint is set free
-GAIN = 0.3  # share of this error that setting a joint free must remove
+LARGE = 1.15  # residual over the noise, in all recordings, for which a joint is freed
+GAIN = 0.3  # share of this residual that setting a joint free must remove
 FEWER = 0.05  # the same where it leaves fewer effects to be named
 JOINTS = 2  # that are tried
 LITTLE = 0.1  # the same of an effect beside a free joint
 _ENCODER = (ENCODER_SCALE.name, JOINT_OFFSET.name)
 _ROUNDS = 6  # estimates of the torque before a search
 _PARTS = (1.0, 0.5, 0.2, 0.05)  # of a step that are tried
-_SMALLER = 0.1  # share of what is left by which a round must lower it to be followed
+_SMALLER = 0.1  # share of the residual that a round must remove to be followed
 _SEARCHES = 2  # each beside the torque that is left by what the one before found
 _KNOTS = 8  # of the torque that is drawn over position and over velocity
 
@@ -77,11 +78,11 @@ def free_joint(state: State, additions: Additions) -> Generator[State, None, Sta
         additions: How a search goes on.
 
     Returns:
-        The state of the first of these that explains most of what is left; the given
+        The state of the first of these that explains most of the residual; the given
         one where none does, and with the torque alone where no effect is named beside.
     """
     problem = state.setting.problem
-    if _left(state.best) <= LEFT or state.lateness is not None:
+    if _residual(state.best) <= LARGE or state.lateness is not None:
         return state
     # Where a motor hardly holds its arm, small differences of the model decide on its
     # course, and a torque that makes up for them hides how uncertain effects are.
@@ -113,7 +114,7 @@ def _likely(state: State, problem: ArmRollouts) -> list[tuple[Scored, str]]:
         if torques is None:
             continue
         amounts = _Amounts.of(state, torques.columns())
-        errors = [amounts.left(row) for row in rows]
+        errors = [amounts.residual(row) for row in rows]
         index = int(np.argmin(errors))
         found.append((errors[index], list(bases.values())[index], joint))
     found.sort(key=lambda one: one[0])
@@ -128,7 +129,7 @@ def _singles(state: State) -> list[Scored]:
 
 @dataclass(frozen=True)
 class _Amounts:
-    """Amounts of changes that leave least of residuals, by ridge regression.
+    """Amounts of changes that make residuals smallest, by ridge regression.
 
     Those of a free torque each reach over few rows, so their products are sparse.
     """
@@ -159,7 +160,7 @@ class _Amounts:
         along = self.columns @ (rows / self.scale)
         return np.asarray(-self.solve(along) * self.prior)
 
-    def left(self, rows: Array) -> float:
+    def residual(self, rows: Array) -> float:
         """Return the root mean square of residuals (N,), whitened."""
         if not np.isfinite(rows).all():
             return float("inf")
@@ -188,7 +189,10 @@ def _beside(
         if estimated is None:
             return None
         freed = estimated
-        begun = _begun(state, freed)
+        try:
+            begun = _begun(state, freed)
+        except UnstableModelError:
+            return None  # with that torque and no effect, the robot runs away
         if effects:
             begun, fits = begun.fit([effects])
             if not fits:
@@ -198,7 +202,7 @@ def _beside(
         for step in additions(begun):
             found = step
             yield state  # what is found is kept aside until it is whole
-        found = _without_small(found)
+        found = without_small(found)
         known, effects = effects, found.best.effects
         if candidates_of(effects) == candidates_of(known):
             break
@@ -208,11 +212,11 @@ def _beside(
     return replace(found, as_it_is=problem, free_form=form)
 
 
-def _without_small(state: State) -> State:
+def without_small(state: State) -> State:
     """Return the state without effects that explain little beside a free joint.
 
-    What is free leaves a little of what acts there, and some effect always makes a
-    little of that up.
+    A free torque is not quite what acts there, and some effect always makes up for a
+    little of the difference.
     """
     while state.best.effects:
         best, effects = state.best, state.best.effects
@@ -220,15 +224,15 @@ def _without_small(state: State) -> State:
         options = [state.none]
         if len(effects) > 1:
             state, options = state.fit(fewer)
-        least = min(options, key=_left, default=None)
-        if least is None or _left(best) < (1.0 - LITTLE) * _left(least):
+        least = min(options, key=_residual, default=None)
+        if least is None or _residual(best) < (1.0 - LITTLE) * _residual(least):
             break
         state = replace(state, best=least).noted(effects=least.effects, dropped=True)
     return state
 
 
-def _left(one: Scored) -> float:
-    """Return the root mean square of what a set of effects leaves everywhere.
+def _residual(one: Scored) -> float:
+    """Return the root mean square of the residual of a set of effects, everywhere.
 
     Held-out recordings alone may hold little of what happens once.
     """
@@ -238,7 +242,7 @@ def _left(one: Scored) -> float:
 def _is_worth_it(before: Scored, found: Scored) -> bool:
     """Return whether a free joint explains enough to be named for."""
     fewer = len(found.effects) < len(before.effects)
-    return _left(found) < (1.0 - (FEWER if fewer else GAIN)) * _left(before)
+    return _residual(found) < (1.0 - (FEWER if fewer else GAIN)) * _residual(before)
 
 
 def _begun(state: State, freed: _Freed) -> State:
@@ -266,7 +270,7 @@ def _is_of_encoder(one: Candidate | AppliedEffect, joint: str) -> bool:
 def _estimated(
     state: State, problem: ArmRollouts, hypothesis: Hypothesis, joint: str
 ) -> _Freed | None:
-    """Return a joint set free, with the torque that leaves least; None if it diverges.
+    """Return a joint set free, with the torque that fits best; None if it diverges.
 
     Args:
         state: Of a search without it.
@@ -276,12 +280,12 @@ def _estimated(
     """
     scale = problem.noise[problem.layout.channel]
 
-    def left(moved: ArmRollouts) -> tuple[float, Array]:
+    def compared(moved: ArmRollouts) -> tuple[float, Array]:
         (rows,) = moved.residuals([hypothesis])
         return float(np.sqrt(np.mean((rows / scale) ** 2))), rows
 
     torques = torque_over_time(problem, hypothesis, joint)
-    size, rows = left(problem)
+    size, rows = compared(problem)
     if torques is None or not np.isfinite(size):
         return None
     moved = problem
@@ -293,7 +297,7 @@ def _estimated(
         for part in _PARTS:
             # A motor at its limit does not hold against more: whole steps go too far.
             trial = with_amounts(problem, torques, total + part * step)
-            size, rows = left(trial)
+            size, rows = compared(trial)
             if size < before:
                 break
         else:
@@ -310,40 +314,24 @@ def _estimated(
 
 def _drawn(state: State, problem: ArmRollouts, found: State, freed: _Freed) -> FreeForm:
     """Return the torque of the free joint, as it is drawn."""
-    effects = found.best.effects
-    setting, torques = state.setting, freed.torques
-    order = training_first(problem, setting.train, setting.heldout)
-    (rows,) = problem.residuals([Hypothesis(effects)])
-    known = setting.weights.together.whiten(rows[order])
-    without = float(np.sqrt(np.mean(known[len(found.best.fit.residual) :] ** 2)))
+    torques = freed.torques
+    # Without it, the robot may even diverge under these effects.
+    alone = state.setting.score([found.best.fit])
+    before = alone[0].error if alone else float("inf")
     torque = freed.amounts * torques.torque
-    position, velocity = _motion(problem, torques)
-    logs = problem.log.recordings
-    before = np.cumsum([0.0, *(one.seconds for one in logs)])[:-1]
-    begins = before - np.array([one.time[0] for one in logs])
-    time = torques.time + begins[torques.recording]
+    where = problem, torques.joint, torques.recording, torques.time
+    position, velocity = at_times(*where)
+    time = torques.time + session_begins(problem.log.recordings)[torques.recording]
     return FreeForm(
         torques.joint,
-        1.0 - found.best.error / without,
-        _means(position, torque),
-        _means(velocity, torque),
+        1.0 - found.best.error / before,
+        _over(position, torque),
+        _over(velocity, torque),
         np.stack([time, torque]),
     )
 
 
-def _motion(problem: ArmRollouts, torques: TorqueOverTime) -> tuple[Array, Array]:
-    """Return position and velocity of the joint at each hat, (K,)."""
-    column = problem.log.joints.index(torques.joint)
-    found = np.zeros((2, len(torques.time)))
-    for index, one in enumerate(problem.log.recordings):
-        own = torques.recording == index
-        paths = np.asarray(one.position, dtype=float), joint_velocity(one)
-        for row, path in zip(found, paths, strict=True):
-            row[own] = np.interp(torques.time[own], one.time, path[:, column])
-    return found[0], found[1]
-
-
-def _means(values: Array, torque: Array) -> Array:
+def _over(values: Array, torque: Array) -> Array:
     """Return the torque as a smooth function of a value, (2, knots)."""
     knots = np.unique(np.quantile(values, np.linspace(0.005, 0.995, _KNOTS)))
     weights = hats(values, knots)

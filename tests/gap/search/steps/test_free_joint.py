@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
 from hidden_arms import TURNTABLES, TWO_LINKS, record
+from small_problems import last_state
 
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.arm.torque_over_time import torque_over_time, with_amounts
-from rlco.gap.compare.problem import Hypothesis, Verdict
+from rlco.gap.compare.problem import (
+    Candidate,
+    Divergence,
+    Hypothesis,
+    Instability,
+    Verdict,
+)
+from rlco.gap.compare.stability.instability import UnstableModelError
 from rlco.gap.search.find_gap import additions, find_gap
 from rlco.gap.search.state import State
-from rlco.gap.search.steps.free_joint import free_joint
+from rlco.gap.search.steps.free_joint import free_joint, without_small
 from rlco.gap.search.steps.start import start
+from rlco.physics.effects import AppliedEffect
 
 # Of 0.3 s, at these times of every recording [s]; half a sine [N m].
 KNOCKS, LONG, STRONG = (0.8, 2.6), 0.3, 3.0
@@ -40,14 +49,6 @@ def _problem(xml: str = TWO_LINKS, *, quiet: bool = False) -> ArmRollouts:
 def _others(problem: ArmRollouts) -> set[str]:
     every = [*problem.candidates(), *problem.candidates(uncommon=True)]
     return {one.name for one in every} - set(OTHERS)
-
-
-def _last(steps: Generator[State, None, State]) -> State:
-    while True:
-        try:
-            next(steps)
-        except StopIteration as end:
-            return end.value  # type: ignore[no-any-return]
 
 
 @pytest.fixture(scope="module")
@@ -112,9 +113,8 @@ def test_an_effect_is_named_beside_a_torque_that_the_library_lacks() -> None:
 
 def test_where_an_effect_explains_all_no_joint_is_set_free() -> None:
     problem = _problem(quiet=True)
-    first = start(problem, exclude=_others(problem))
-    state = _last(additions(first))  # type: ignore[arg-type]
-    assert _last(free_joint(state, additions)) is state
+    state = last_state(additions(start(problem, exclude=_others(problem))))
+    assert last_state(free_joint(state, additions)) is state
 
 
 def test_the_columns_are_what_a_small_torque_over_time_does() -> None:
@@ -144,3 +144,46 @@ def test_a_torque_from_outside_acts_beside_a_motor_at_its_limit() -> None:
     }
     pushed = problem.with_torques("shoulder", half).with_torques("shoulder", half)
     np.testing.assert_allclose(pushed.residuals([Hypothesis()]), 0.0, atol=1e-9)
+
+
+def test_torques_from_outside_act_at_one_joint() -> None:
+    problem = _problem(quiet=True).with_torques("shoulder", {0: np.ones(3)})
+    with pytest.raises(ValueError, match="at 'shoulder', so none can at 'elbow'"):
+        problem.with_torques("elbow", {0: np.ones(3)})
+
+
+def test_a_robot_that_runs_away_with_the_torque_alone_is_not_searched(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    problem = _problem()
+    state = last_state(additions(start(problem, exclude=_others(problem))))
+    unstable = Instability((Divergence(0, "episode 0", 0.1),), advice=("Check it.",))
+
+    def runs_away(*_: object, **__: object) -> State:
+        raise UnstableModelError(unstable)
+
+    monkeypatch.setattr("rlco.gap.search.steps.free_joint.start", runs_away)
+    assert last_state(free_joint(state, additions)) is state
+
+
+def test_errors_of_an_encoder_are_hats_of_its_position_alone() -> None:
+    problem = _problem(quiet=True)
+    free = torque_over_time(problem, Hypothesis(), "elbow")
+    assert free is not None
+    # Hats add up to one: all of them together are a constant error of 0.1 rad.
+    at_elbow = problem.layout.channel == 1
+    np.testing.assert_allclose(free.misread.sum(axis=0), np.where(at_elbow, -0.1, 0.0))
+    # The first is of the smallest positions, the last of the largest.
+    position = np.concatenate([one.position[:, 1] for one in problem.log.recordings])
+    lowest = free.misread[0][at_elbow].argmin()
+    assert position[lowest] < np.quantile(position, 0.02)
+
+
+def test_only_what_explains_much_beside_a_free_joint_is_kept() -> None:
+    problem = _problem(quiet=True)
+    state = start(problem, exclude=_others(problem))
+    damping = AppliedEffect("viscous_damping", "elbow", {"damping": 0.3})
+    little = AppliedEffect("coulomb_friction", "shoulder", {"frictionloss": 1e-3})
+    state, (both,) = state.fit([(damping, little)])
+    kept = without_small(replace(state, best=both)).best
+    assert kept.names == {Candidate("viscous_damping", "elbow")}

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from dataclasses import replace
 
 import mujoco
 import numpy as np
 import pytest
 from hidden_arms import FPS, TURNTABLES, Act, record
 from numpy.typing import NDArray
+from small_problems import last_state
 
 from rlco.gap.compare.arm.late_commands import responses
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.search.find_gap import additions, find_gap
-from rlco.gap.search.state import State
 from rlco.gap.search.steps.late_commands import late_commands
 from rlco.gap.search.steps.start import start
 from rlco.physics.effects import AppliedEffect
@@ -77,15 +77,6 @@ def _pushes(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     data.qfrc_applied[:] = random.normal(0.0, 2.0, 2) * np.abs(data.qvel)
 
 
-def _last(steps: Generator[State, None, State]) -> State:
-    """Return what a step of a search returns in the end."""
-    while True:
-        try:
-            next(steps)
-        except StopIteration as ended:
-            return ended.value
-
-
 def _times(problem: ArmRollouts, late: float) -> list[NDArray[np.float64]]:
     return [np.full(one.rows, late) for one in problem.log.recordings]
 
@@ -135,7 +126,7 @@ def test_the_time_of_each_command_is_estimated() -> None:
     state = start(problem, exclude=_others(problem))
     for found in additions(state):
         state = found
-    lateness = _last(late_commands(state, additions)).lateness
+    lateness = last_state(late_commands(state, additions)).lateness
     assert lateness is not None
     errors, truth = [], []
     for episode, late in enumerate(lateness.late):
@@ -174,4 +165,23 @@ def test_pushes_at_each_joint_are_not_taken_for_late_commands() -> None:
     for found in additions(state):
         state = found
     assert state.best.error > 1.3
-    assert _last(late_commands(state, additions)) is state
+    assert last_state(late_commands(state, additions)) is state
+
+
+@pytest.mark.slow
+def test_a_slow_controller_that_leaves_little_is_not_taken_for_late_commands() -> None:
+    log = record(None, _late(MEAN, SPREAD), xml=TURNTABLES, motion=_waves)
+    # So much noise that times of their own hardly show any more.
+    noise = np.full(2, 1.4e-3)
+    problem = ArmRollouts(mujoco.MjSpec.from_string(TURNTABLES), log, noise)
+    state = start(problem, exclude=_others(problem) - {"control_rate"})
+    delay, slow = (
+        replace(state, best=state.fit([(AppliedEffect(name, None, values),)])[1][0])
+        for name, values in (
+            ("command_delay", {"delay": MEAN}),
+            ("control_rate", {"period": 0.06}),
+        )
+    )
+    assert 1.3 < slow.best.error < 2.0
+    assert last_state(late_commands(slow, additions)) is slow
+    assert last_state(late_commands(delay, additions)).lateness is not None
