@@ -323,6 +323,8 @@ class FreeForm:
         over_position: Positions [rad or m] and torques [N m or N], (2, P).
         over_velocity: Velocities [rad/s or m/s] and torques, (2, V).
         over_time: Times, recordings one after the other [s], and torques, (2, T).
+        predicts: Whether it was fitted to the training recordings alone. Otherwise it
+            takes any course over time, and was estimated in those held out, too.
     """
 
     target: str
@@ -330,6 +332,7 @@ class FreeForm:
     over_position: Array
     over_velocity: Array
     over_time: Array
+    predicts: bool = True
 
 
 @dataclass(frozen=True)

@@ -73,7 +73,12 @@ def _outside(free: FreeForm) -> dict[str, object]:
         f"over_{name}": {name: x.tolist(), "torque": y.tolist()}
         for name, (x, y) in lines.items()
     }
-    return {"target": free.target, "explains": free.gain, **shape}
+    return {
+        "target": free.target,
+        "explains": free.gain,
+        "predicts": free.predicts,
+        **shape,
+    }
 
 
 def _held_out(held_out: HeldOut) -> dict[str, object]:

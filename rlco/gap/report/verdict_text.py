@@ -202,6 +202,13 @@ def outside_line(free: FreeForm) -> str:
         'A torque of some shape over position and velocity at elbow, besides, leaves \
 40 % less error in held-out recordings: something outside the library acts there.'
     """
+    if not free.predicts:
+        return (
+            f"A torque that takes any course over time at {free.target}, besides, "
+            f"leaves {100 * free.gain:.0f} % less error: something outside the library "
+            "acts there. It was estimated in all recordings, held-out ones too, so it "
+            "predicts none."
+        )
     return (
         f"A torque of some shape over position and velocity at {free.target}, besides, "
         f"leaves {100 * free.gain:.0f} % less error in held-out recordings: something "

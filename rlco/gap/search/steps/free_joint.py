@@ -328,6 +328,7 @@ def _drawn(state: State, problem: ArmRollouts, found: State, freed: _Freed) -> F
         _over(position, torque),
         _over(velocity, torque),
         np.stack([time, torque]),
+        predicts=False,
     )
 
 

@@ -20,6 +20,7 @@ from rlco.gap.compare.problem import (
     Verdict,
 )
 from rlco.gap.compare.stability.instability import UnstableModelError
+from rlco.gap.report.verdict_text import outside_line
 from rlco.gap.search.find_gap import additions, find_gap
 from rlco.gap.search.state import State
 from rlco.gap.search.steps.free_joint import free_joint, without_small
@@ -70,6 +71,7 @@ def test_an_effect_is_named_beside_knocks_at_another_joint(knocked: Verdict) -> 
 def test_the_knocks_are_drawn_at_their_joint_and_times(knocked: Verdict) -> None:
     assert knocked.free_form is not None
     assert knocked.free_form.target == "shoulder"
+    assert "predicts none" in outside_line(knocked.free_form)
     time, torque = knocked.free_form.over_time
     # Recordings of four seconds less a frame follow one another.
     begins = np.arange(4) * 3.98
