@@ -37,8 +37,8 @@ class Config(RunOptions):
     )
     variation: str | None = option(
         None,
-        "unseen variation: shapes, colours, initial_states, distractors, camera, or "
-        "one of your own task's",
+        "unseen variation: shapes, colours, initial_states, distractors, camera, "
+        "lights, or one of your own task's",
     )
     effects: str | None = option(
         None, "effects.yaml: what to add to the domain's simulator"

@@ -45,6 +45,7 @@ def test_what_cannot_be_played_is_refused_before_anything_is(
 ) -> None:
     for given, words in (
         (["variations=[rain]"], "unknown variation 'rain'"),
+        (["variations=[lights]"], "lights changes images alone"),
         (["domains=[]"], "domains=[] leaves nowhere to play"),
         (["task=push_cub"], "unknown task 'push_cub'"),
     ):

@@ -3,6 +3,7 @@
 ``shapes`` and ``colours`` change the objects. ``initial_states`` draws initial states
 from ranges outside those of training. ``distractors`` adds objects that policies do not
 observe. ``camera`` moves the camera, in images and in reported positions alike.
+``lights`` changes the light, in images alone.
 """
 
 from __future__ import annotations
@@ -11,11 +12,19 @@ from dataclasses import replace
 
 import numpy as np
 
-from rlco.errors import UnknownNameError
+from rlco.errors import RlcoError, UnknownNameError
 from rlco.physics.spec.domain import Domain
+from rlco.physics.spec.look import Light, Look
 from rlco.physics.spec.task import Array, InitialState, Task
 
-VARIATIONS = ("shapes", "colours", "initial_states", "distractors", "camera")
+VARIATIONS = (
+    "shapes",
+    "colours",
+    "initial_states",
+    "distractors",
+    "camera",
+    "lights",
+)
 CAMERA_YAW = 0.10  # added to the domain's own [rad]
 CAMERA_SHIFT = (0.02, -0.02)  # added to the domain's own [m]
 # A tin and a box: name, half height [m], colour.
@@ -29,6 +38,20 @@ UNSEEN_COLOURS = {
     "green": (0.60, 0.80, 0.20, 1.0),
     "blue": (0.35, 0.70, 0.90, 1.0),
 }
+# An evening: a desk lamp opposite the robot, 21 degrees above the table, with the warm
+# light of 2700 K, and hardly any from elsewhere. No light of random looks is coloured,
+# or as low.
+UNSEEN_LIGHTS = (
+    Light(
+        direction=(-0.85, 0.4, -0.36),
+        ambient=(0.1, 0.08, 0.05),
+        diffuse=(1.0, 0.78, 0.5),
+        specular=(0.3, 0.23, 0.15),
+    ),
+)
+UNSEEN_HEADLIGHT = Light(
+    ambient=(0.08, 0.08, 0.08), diffuse=(0.1, 0.1, 0.1), specular=(0.0, 0.0, 0.0)
+)
 JOINT_NOISE = 0.05  # of the arm at the start in ``initial_states`` [rad]
 Range = tuple[float, float]
 
@@ -57,8 +80,28 @@ def check_variation_of(task: Task, variation: str | None) -> None:
         raise UnknownNameError("variation", variation, task.variations or ("none",))
 
 
+def check_variation_seen(variation: str | None, image_size: object) -> None:
+    """Refuse a variation of images alone where none are drawn.
+
+    Args:
+        variation: Its name, or None.
+        image_size: Of the images that are drawn; None where there are none.
+
+    Raises:
+        RlcoError: It is ``lights``, and there are none.
+    """
+    if variation == "lights" and image_size is None:
+        raise RlcoError(
+            "variation=lights changes images alone, but none are drawn; leave it out, "
+            "or give what reads images."
+        )
+
+
 def domain_in(domain: Domain, variation: str | None) -> Domain:
-    """Return the domain under a variation: ``camera`` moves its camera.
+    """Return the domain under a variation: another camera, or other lights.
+
+    Raises:
+        RlcoError: The domain draws its lights by itself, which ``lights`` sets.
 
     Example:
         >>> from rlco.physics.spec.domain import SIM
@@ -67,6 +110,8 @@ def domain_in(domain: Domain, variation: str | None) -> Domain:
         >>> domain_in(SIM, "colours") == SIM
         True
     """
+    if variation == "lights":
+        return _lit_otherwise(domain)
     if variation != "camera":
         return domain
     sensors = domain.sensors
@@ -78,6 +123,17 @@ def domain_in(domain: Domain, variation: str | None) -> Domain:
         camera_shift=(x + CAMERA_SHIFT[0], y + CAMERA_SHIFT[1]),
     )
     return replace(domain, sensors=moved)
+
+
+def _lit_otherwise(domain: Domain) -> Domain:
+    """Return the domain with unseen lights, and the rest of its look as it is."""
+    if not isinstance(domain.look, Look):
+        raise RlcoError(
+            "variation=lights sets the lights, but look=random draws them in each "
+            "episode; leave one of them out."
+        )
+    lit = replace(domain.look, lights=UNSEEN_LIGHTS, headlight=UNSEEN_HEADLIGHT)
+    return replace(domain, look=lit)
 
 
 def make_distractors() -> list[object]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from xml.etree import ElementTree
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 from expert_cases import solved
 
 from rlco.envs import make_env
-from rlco.errors import UnknownNameError
+from rlco.errors import RlcoError, UnknownNameError
 from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.robosuite.stepper import RobosuiteStepper
 from rlco.physics.spec.domain import SIM, STAND_IN
@@ -170,6 +171,38 @@ def test_an_environment_with_a_moved_camera_reports_turned_positions() -> None:
     (a, b) = (line[:2] - line[2:] for line in lines)
     turn = np.arctan2(a[0] * b[1] - a[1] * b[0], a @ b)
     assert turn == pytest.approx(0.10, abs=5e-3)
+
+
+@TASKS
+def test_lights_change_images_alone(task: Task) -> None:
+    assert_same_start(start(task, None), start(task, "lights"))
+    assert scene(task, None) == scene(task, "lights")
+    for domain in (SIM, STAND_IN):
+        lit = domain_in(domain, "lights")
+        assert replace(lit, look=domain.look) == domain
+        kept = {"lights": domain.look.lights, "headlight": domain.look.headlight}
+        assert replace(lit.look, **kept) == domain.look
+
+
+def test_a_warm_lamp_makes_images_warmer_and_moves_nothing() -> None:
+    make = partial(make_env, image_size=(64, 64), renderer="raster", seed=3)
+    rows = [make("push_cube", variation=v).reset() for v in (None, "lights")]
+    seen, unseen = (row["observation"] for row in rows)
+    for key in ("state", "environment_state"):
+        assert (seen[key] == unseen[key]).all()
+    before, after = (
+        row["image"].double().mean(dim=(0, 2, 3)) for row in (seen, unseen)
+    )
+    # Of red and blue light: a lamp that has half as much blue as red.
+    assert after[2] / after[0] < 0.8 * before[2] / before[0]
+
+
+def test_lights_are_refused_with_a_random_look_and_without_images() -> None:
+    make = partial(make_env, "push_cube", variation="lights")
+    with pytest.raises(RlcoError, match="lights sets the lights, but look=random"):
+        make(look="random", image_size=(64, 64))
+    with pytest.raises(RlcoError, match="changes images alone, but none are drawn"):
+        make()
 
 
 @pytest.mark.slow
