@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
@@ -28,13 +29,16 @@ from rlco.gap.compare.torque.convention import factors_between, with_factors
 from rlco.gap.compare.torque.smooth_motion import rows_of
 from rlco.gap.compare.torque.torque_log import TorqueLog
 from rlco.gap.logs.log import Array, Log
-from rlco.gap.make_problem import in_parts, make_problem
+from rlco.gap.make_problem import compared_in, in_parts, make_problem
 from rlco.gap.model import LoadedModel
 from rlco.gap.search.comparison import correlation_length, seconds_of
 from rlco.gap.search.find_gap import find_gap, nothing_searched
 from rlco.gap.search.steps.start import split
 from rlco.physics.effects import AppliedEffect
 from rlco.physics.effects.apply import apply_to_spec
+
+if TYPE_CHECKING:
+    from rlco.gap.demos.replay.task_space import TaskSpaceProblem
 
 CALIBRATE = ("none", "usual")
 NO_CHANGE = "no_change"
@@ -114,6 +118,7 @@ def prepare(
     compare: Compared | None,
     threads: int,
     say: Callable[[str, float], None],
+    exclude: Collection[str] = (),
 ) -> Prepared:
     """Return a problem beside a calibration, from recordings before or of its own.
 
@@ -121,17 +126,20 @@ def prepare(
         DataError: If the recordings are of a kind that is not supported.
     """
     option = "calibrate=usual" if before is None else "reference="
-    known = _calibratable(loaded, before or log, threads, compare, option)
+    known = make_problem(loaded, before or log, threads=threads, compare=compare)
 
     def on_step(step: int) -> None:
         say(f"calibrating, step {step + 1}", 0.0)
 
     try:
+        if before is not None and compared_in(known) == "task":
+            return changed_in_task(known, before, log, threads, exclude, say)
+        calibrated = _calibratable(known, option)
         nominal = known.residuals([Hypothesis()])[0]
         check_stable(known, nominal, np.zeros((0, len(nominal))))
         if before is None:
-            return calibrated_problem(loaded, known, on_step)
-        return changed_problem(loaded, known, before, log, on_step)
+            return calibrated_problem(loaded, calibrated, on_step)
+        return changed_problem(loaded, calibrated, before, log, on_step)
     except UnstableModelError:
         return Prepared(known)
     except KeyboardInterrupt:
@@ -206,6 +214,55 @@ def changed_problem(
     return Prepared(problem, summary, told)
 
 
+def changed_in_task(
+    known: Problem,
+    before: Log,
+    after: Log,
+    threads: int,
+    exclude: Collection[str],
+    say: Callable[[str, float], None],
+) -> Prepared:
+    """Return the problem of what changed between demonstrations of one task.
+
+    What the simulator lacks in those before is named by a search, and taken as known.
+    """
+    # robosuite, which logs of joints need not wait for.
+    from rlco.gap.calibrate.changed_task import changed_task, shared_channels
+
+    def on_step(said: str, part: float) -> None:
+        say(f"before: {said}", 0.0)
+
+    task = cast("TaskSpaceProblem", known)
+    lacking = find_gap(task, exclude=exclude, on_step=on_step)
+    if lacking.instability is not None or not lacking.complete:
+        return Prepared(task, stopped=not lacking.complete)
+    found = changed_task(task, before, after, lacking, threads)
+    layout, none = found.problem.layout, Hypothesis()
+    mine, theirs = shared_channels(found.problem, task)
+    difference = _sizes(found.problem, none)[mine]
+    seconds = sum(one.seconds for one in before.recordings)
+    return Prepared(
+        found.problem,
+        Summary(
+            None,
+            lacking.hypothesis.effects,
+            tuple(layout.channels[i] for i in mine),
+            tuple(layout.units[i] for i in mine),
+            _sizes(task, none)[theirs],
+            _sizes(found.known, none)[theirs],
+            lacking.effects,
+        ),
+        Before(
+            np.zeros(len(mine)),
+            found.problem.noise[mine],
+            difference,
+            difference,
+            len(before.recordings),
+            seconds,
+        ),
+    )
+
+
 def search(
     prepared: Prepared,
     *,
@@ -234,6 +291,9 @@ def search(
         # Shares of a difference within what is not known would mean nothing.
         verdict = replace(verdict, verdict=NO_CHANGE, closest=())
     changed = _sizes(prepared.problem, verdict.hypothesis)
+    if prepared.summary.calibration is None:
+        names = prepared.problem.layout.channels
+        changed = changed[[names.index(name) for name in prepared.summary.channels]]
     return verdict, replace(prepared, before=replace(before, changed=changed))
 
 
@@ -246,20 +306,14 @@ def calibrated_model(
     return replace(loaded, spec=spec, model=spec.copy().compile())
 
 
-def _calibratable(
-    loaded: LoadedModel,
-    log: Log,
-    threads: int,
-    compare: Compared | None,
-    option: str,
-) -> Calibratable:
-    problem = make_problem(loaded, log, threads=threads, compare=compare)
+def _calibratable(problem: Problem, option: str) -> Calibratable:
     if isinstance(problem, Calibratable):
         return problem
     raise DataError(
         f"{option} needs recordings of commands and joint positions, or of joint "
-        "positions and torques; demonstrations of a task, a free body and a servo's "
-        "bench cannot be compared so: give such recordings, or leave it out."
+        "positions and torques; a free body and a servo's bench cannot be compared so, "
+        "and demonstrations of a task by reference= alone: give such recordings, or "
+        "leave it out."
     )
 
 

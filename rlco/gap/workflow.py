@@ -285,7 +285,9 @@ def run_gap(
             first = read_log(
                 reference, loaded, rename=rename, scale=scale, angles=angles
             )
-        prepared = prepare(loaded, recordings, first, asked, threads, say)
+        prepared = prepare(
+            loaded, recordings, first, asked, threads, say, exclude=exclude
+        )
         beside = None
         problem, base = prepared.problem, prepared.base
     else:

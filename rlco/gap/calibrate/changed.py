@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from rlco.gap.calibrate.numbers import Calibratable
 from rlco.gap.compare.problem import Candidate, Hypothesis, Problem, Run
 from rlco.gap.logs.log import Array
 
@@ -15,13 +14,14 @@ class Changed(Problem):
     """A `Problem`: a calibrated model against a recording made later.
 
     Args:
-        base: The calibrated model and the later recording.
+        base: The model with what is known of it, and the later recording.
         correction: What the model lacked before, at each row, (N,).
         noise: Standard deviation of what is not known of each channel, (channels,).
     """
 
-    def __init__(self, base: Calibratable, correction: Array, noise: Array) -> None:
+    def __init__(self, base: Problem, correction: Array, noise: Array) -> None:
         self.base, self.correction, self.noise = base, correction, noise
+        self.has_outliers = base.has_outliers
         self.model, self.log, self.layout = base.model, base.log, base.layout
         self.tolerance_names = base.tolerance_names
         self.calibration = base.calibration

@@ -1,4 +1,4 @@
-"""What a calibration found, joint by joint and number by number, for reports."""
+"""What was known of a robot before a search, number by number, for reports."""
 
 from __future__ import annotations
 
@@ -19,23 +19,26 @@ _KNOWN = 0.5  # deviation that a number may have left to be told, in priors
 
 @dataclass(frozen=True)
 class Summary:
-    """A calibration and what it did to the disagreement.
+    """What is taken as known before a search, and what it does to the disagreement.
 
     Attributes:
-        calibration: The numbers as fitted.
-        effects: The same as effects on the model.
+        calibration: The numbers as fitted; None for demonstrations of a task, of which
+            none are.
+        effects: What is known, as effects on the model.
         channels: Names of the channels.
         units: Their units.
         nominal: Disagreement of the model as it is, root mean square, (channels,).
-        calibrated: The same of the calibrated model.
+        calibrated: The same of the model with what is known.
+        lacking: What a search named before, where nothing is calibrated.
     """
 
-    calibration: Calibration
+    calibration: Calibration | None
     effects: tuple[AppliedEffect, ...]
     channels: tuple[str, ...]
     units: tuple[str, ...]
     nominal: Array
     calibrated: Array
+    lacking: tuple[NamedEffect, ...] = ()
 
     def rows(self, model: mujoco.MjModel) -> list[dict[str, object]]:
         """Return each fitted number, those furthest from the model first.
@@ -43,8 +46,10 @@ class Summary:
         Args:
             model: The model without the calibration, for units.
         """
-        calibration, beyond = self.calibration, self._beyond()
-        deviation = calibration.deviation
+        calibration = self.calibration
+        if calibration is None:
+            return []
+        beyond, deviation = _beyond(calibration), calibration.deviation
         rows = []
         for i in np.argsort(-np.abs(calibration.amounts)):
             number, amount = calibration.numbers[i], float(calibration.amounts[i])
@@ -68,8 +73,10 @@ class Summary:
 
     def named(self, model: mujoco.MjModel) -> tuple[NamedEffect, ...]:
         """Return the effects of which a number is beyond its prior's 95 %."""
-        calibration, beyond = self.calibration, self._beyond()
-        deviation = calibration.deviation
+        calibration = self.calibration
+        if calibration is None:
+            return ()
+        beyond, deviation = _beyond(calibration), calibration.deviation
         found = []
         for effect in self.effects:
             mine = [
@@ -96,9 +103,10 @@ class Summary:
             )
         return tuple(found)
 
-    def _beyond(self) -> Array:
-        far = np.abs(self.calibration.amounts) > BEYOND
-        return np.asarray(far & (self.calibration.deviation < _KNOWN))
+
+def _beyond(calibration: Calibration) -> Array:
+    far = np.abs(calibration.amounts) > BEYOND
+    return np.asarray(far & (calibration.deviation < _KNOWN))
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from html import escape
+from typing import cast
 
 import mujoco
 
@@ -53,8 +54,23 @@ def calibration_json(summary: Summary, model: mujoco.MjModel) -> dict[str, objec
             }
             for name, unit, nominal, calibrated in channels
         ],
-        "numbers": summary.rows(model),
+        "numbers": summary.rows(model) or _numbers(summary.lacking, model),
     }
+
+
+def _numbers(
+    lacking: Sequence[NamedEffect], model: mujoco.MjModel
+) -> list[dict[str, object]]:
+    """Return the parameters of effects as rows of ``numbers``."""
+    rows = []
+    for one in lacking:
+        found = effect_json(one, model)
+        known = {"name": found["name"], "target": found["target"]}
+        parameters = cast("dict[str, dict[str, object]]", found["parameters"])
+        rows += [
+            {**known, "parameter": name, **value} for name, value in parameters.items()
+        ]
+    return rows
 
 
 def reference_json(summary: Summary, before: Before) -> dict[str, object]:
@@ -95,7 +111,8 @@ def reference_section(
     """Return before, after and the difference as HTML; empty without a reference."""
     if summary is None or before is None:
         return ""
-    head = ["", "before: model as it is", "before: calibrated", "what is not known"]
+    known = "calibrated" if summary.calibration is not None else "with what it lacked"
+    head = ["", "before: model as it is", f"before: {known}", "what is not known"]
     head += ["after: difference to before"]
     head += ["left by what is named"] if named else []
     columns = (
@@ -115,10 +132,20 @@ def reference_section(
     return (
         "<h2>Before, after, and the difference</h2>\n"
         + html.table(head, rows)
-        + '<p class="quiet">Root mean squares. The recordings before '
-        f"({before.recordings}, {before.seconds:.0f} s) calibrated the model; what it "
-        "still lacks there is taken as known where the later motion is alike. What is "
-        "not known is what any difference is held against.</p>"
+        + '<p class="quiet">Root mean squares. '
+        + _of_before(summary, before)
+        + " What is not known is what any difference is held against.</p>"
+    )
+
+
+def _of_before(summary: Summary, before: Before) -> str:
+    """Return in a sentence what the recordings before were used for."""
+    made = f"The recordings before ({before.recordings}, {before.seconds:.0f} s)"
+    if summary.calibration is None:
+        return f"{made} tell what the simulator lacks, which is taken as known."
+    return (
+        f"{made} calibrated the model; what it still lacks there is taken as known "
+        "where the later motion is alike."
     )
 
 
@@ -130,6 +157,8 @@ def calibration_section(
     """Return the calibrated numbers as HTML; empty without a calibration."""
     if summary is None or model is None:
         return ""
+    if summary.calibration is None:
+        return _lacking_section(summary, model)
     rows = []
     for row in summary.rows(model)[:_SHOWN]:
         unit = str(row["unit"])
@@ -156,6 +185,28 @@ def calibration_section(
         + '<p class="quiet">Numbers of a link are relative to its own size; mass is '
         "half a logarithm. A number by itself may be undetermined where another makes "
         "up for it.</p>"
+    )
+
+
+def _lacking_section(summary: Summary, model: mujoco.MjModel) -> str:
+    """Return what a search named in recordings before as HTML."""
+    rows = [
+        [
+            escape(title_of(f"{row['name']} {row['target'] or ''}".strip())),
+            escape(in_words(str(row["parameter"]))),
+            escape(f"{_text(row['value'])} {row['unit']}".strip())
+            + f"<br>{_text(row['low'])} to {_text(row['high'])}",
+        ]
+        for row in _numbers(summary.lacking, model)
+    ]
+    heading = "<h2>What the simulator lacked before</h2>\n"
+    if not rows:
+        return heading + "<p>Nothing that the library could name.</p>\n"
+    return (
+        heading
+        + "<p>Named in the recordings before by a search of its own, and taken as "
+        "known in the later ones.</p>\n"
+        + html.table(["effect", "", "fitted, 90 %"], rows)
     )
 
 
