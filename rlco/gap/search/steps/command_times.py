@@ -13,6 +13,7 @@ and at first seem to be late by other times at each.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,6 +44,7 @@ from rlco.gap.search.lateness import (
 from rlco.gap.search.setting import Setting
 
 CLEARLY = 20.0  # logarithm of the likelihood ratio, held out
+TURNS = 0.15  # power of times at one frequency from which a slow controller is there
 _DELAY = 0.05  # standard deviation of a constant delay [s]
 _ROUNDS = 12  # estimates of the times, each with responses at the one before
 _PARTS = (1.0, 0.5, 0.2)  # of a step that are tried
@@ -133,7 +135,36 @@ def _named(
     spread, excess = fit_common(sums, np.ones(len(sums)))
     width = spread_interval(sums, spread, excess, NORMAL)
     late = _by_recording(problem, now.late - goal.mean)
+    if in_turns(problem, late) > TURNS:
+        return None
     return Lateness(problem, late, spread, width)
+
+
+def in_turns(problem: ArmRollouts, late: Sequence[Array]) -> float:
+    """Return how far commands take effect in the turns of a slow controller, 0 to 1.
+
+    The largest power of the times at one frequency, mean of the recordings: 1 if all
+    take effect at multiples of a period that is longer than that of the rows, and one
+    over their number if they do at random.
+
+    Args:
+        problem: The robot and its log.
+        late: Of each recording, how late each command is, (rows,) [s].
+    """
+    logs = problem.log.recordings
+    longest = max(one.seconds for one in logs)
+    period = float(np.median(np.concatenate([np.diff(one.time) for one in logs])))
+    frequency = np.arange(1.0 / SETTLE, 1.0 / (1.5 * period), 0.25 / longest)
+    power = np.zeros(len(frequency))
+    for one, times in zip(logs, late, strict=True):
+        # While nothing moves, nothing shows when a command arrives.
+        sent = np.asarray(one.command, dtype=float)
+        change = np.abs(np.diff(sent, axis=0, prepend=sent[:1]))
+        moved = change.max(axis=1)
+        at = (one.time + times)[moved >= np.median(moved)]
+        phase = 2.0 * np.pi * np.outer(frequency, at)
+        power += np.abs(np.exp(1j * phase).mean(axis=1)) ** 2 / len(logs)
+    return float(power.max(initial=0.0))
 
 
 def _by_recording(problem: ArmRollouts, late: Array) -> list[Array]:

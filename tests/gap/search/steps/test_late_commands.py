@@ -15,7 +15,7 @@ from rlco.gap.compare.arm.late_commands import responses
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.search.find_gap import additions, find_gap
-from rlco.gap.search.steps.command_times import command_times
+from rlco.gap.search.steps.command_times import TURNS, command_times, in_turns
 from rlco.gap.search.steps.late_commands import late_commands
 from rlco.gap.search.steps.start import start
 from rlco.physics.effects import AppliedEffect
@@ -210,3 +210,15 @@ def test_times_are_found_that_move_joints_by_more_than_the_first_order() -> None
         errors.append((found - true)[turned > 0.01])
         truth.append(true[turned > 0.01])
     assert np.concatenate(errors).std() < 0.5 * np.concatenate(truth).std()
+
+
+def test_commands_that_take_effect_in_turns_are_a_slow_controllers() -> None:
+    problem = _problem(None)
+    random = np.random.default_rng(7)
+    turns, anyhow = [], []
+    for episode, one in enumerate(problem.log.recordings):
+        wait = np.ceil(one.time / 0.07) * 0.07 - one.time
+        turns.append(wait + random.normal(0.0, 0.01, one.rows))
+        anyhow.append(_arrivals(episode, one.rows, MEAN, SPREAD) - one.time)
+    assert in_turns(problem, turns) > 2.0 * TURNS
+    assert in_turns(problem, anyhow) < 0.5 * TURNS
