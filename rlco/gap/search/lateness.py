@@ -150,6 +150,11 @@ def fit_common(sums: Sequence[JointSums], excess: Array) -> tuple[float, Array]:
     return spread, factor * excess
 
 
+def fit_spread(sums: Sequence[JointSums], excess: Array) -> float:
+    """Return the likeliest spread [s] of common times for a known excess (joints,)."""
+    return _best(lambda spread: log_likelihood(sums, spread, excess), _SPREADS)
+
+
 def fit_each(sums: Sequence[JointSums]) -> tuple[Array, Array]:
     """Return each joint's own spread [s] and excess of noise, (joints,) both."""
     found = [_fit_alone(one) for one in sums]
@@ -190,12 +195,23 @@ def estimated(sums: Sequence[JointSums], spread: float, excess: Array) -> Array:
         spread: Standard deviation of the times [s].
         excess: Noise of each joint over what is assumed, (joints,).
     """
-    weighted, _ = _common(sums, spread, excess)
     _, solved = _solved(sums, spread, excess)
-    beside = weighted[1:, 1:] + np.eye(len(weighted) - 1)
-    amounts = np.linalg.solve(beside, weighted[1:, 0])
+    amounts = beside(sums, spread, excess)
     # Their responses, times these, are what the residual must lose.
     return np.asarray(-(solved[:, 0] - solved[:, 1:] @ amounts))
+
+
+def beside(sums: Sequence[JointSums], spread: float, excess: Array) -> Array:
+    """Return the likeliest amounts of the columns B beside the times, (k,).
+
+    Args:
+        sums: Of each joint.
+        spread: Standard deviation of the times [s].
+        excess: Noise of each joint over what is assumed, (joints,).
+    """
+    weighted, _ = _common(sums, spread, excess)
+    squares = weighted[1:, 1:] + np.eye(len(weighted) - 1)
+    return np.asarray(np.linalg.solve(squares, weighted[1:, 0]))
 
 
 def spread_interval(

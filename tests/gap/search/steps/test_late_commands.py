@@ -15,6 +15,7 @@ from rlco.gap.compare.arm.late_commands import responses
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.search.find_gap import additions, find_gap
+from rlco.gap.search.steps.command_times import TURNS, command_times, in_turns
 from rlco.gap.search.steps.late_commands import late_commands
 from rlco.gap.search.steps.start import start
 from rlco.physics.effects import AppliedEffect
@@ -22,6 +23,10 @@ from rlco.physics.effects import AppliedEffect
 MEAN, SPREAD = 0.02, 0.01  # [s]
 KEPT = {"command_delay", "viscous_damping", "coulomb_friction"}
 STEP = 0.004  # [s]
+# A slow servo, and a quick one that reaches its limit.
+LIMITED = TURNTABLES.replace('kp="40" kv="2"', 'kp="10" kv="2"').replace(
+    'kp="20" kv="1"', 'kp="20" kv="0.5" forcerange="-0.8 0.8"'
+)
 
 
 def _waves(seed: int) -> NDArray[np.float64]:
@@ -185,3 +190,35 @@ def test_a_slow_controller_that_leaves_little_is_not_taken_for_late_commands() -
     assert 1.3 < slow.best.error < 2.0
     assert last_state(late_commands(slow, additions)) is slow
     assert last_state(late_commands(delay, additions)).lateness is not None
+
+
+def test_times_are_found_that_move_joints_by_more_than_the_first_order() -> None:
+    mean, spread, noise = 0.04, 0.03, np.full(2, 1e-4)
+    log = record(None, _late(mean, spread), xml=LIMITED, motion=_waves)
+    problem = ArmRollouts(mujoco.MjSpec.from_string(LIMITED), log, noise)
+    setting = start(problem, exclude=_others(problem)).setting
+    late = AppliedEffect("command_delay", None, {"delay": mean})
+    # At first, either joint seems to be late by times of its own.
+    lateness = command_times(setting, problem, Hypothesis((late,)))
+    assert lateness is not None
+    assert lateness.spread == pytest.approx(spread, rel=0.2)
+    errors, truth = [], []
+    for episode, found in enumerate(lateness.late):
+        true = _arrivals(episode, len(found), mean, spread)
+        true -= np.arange(len(found)) / FPS
+        turned = np.abs(np.diff(_waves(episode), axis=0, prepend=0.0)).max(axis=1)
+        errors.append((found - true)[turned > 0.01])
+        truth.append(true[turned > 0.01])
+    assert np.concatenate(errors).std() < 0.5 * np.concatenate(truth).std()
+
+
+def test_commands_that_take_effect_in_turns_are_a_slow_controllers() -> None:
+    problem = _problem(None)
+    random = np.random.default_rng(7)
+    turns, anyhow = [], []
+    for episode, one in enumerate(problem.log.recordings):
+        wait = np.ceil(one.time / 0.07) * 0.07 - one.time
+        turns.append(wait + random.normal(0.0, 0.01, one.rows))
+        anyhow.append(_arrivals(episode, one.rows, MEAN, SPREAD) - one.time)
+    assert in_turns(problem, turns) > 2.0 * TURNS
+    assert in_turns(problem, anyhow) < 0.5 * TURNS
