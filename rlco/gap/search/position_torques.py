@@ -1,7 +1,8 @@
 """Torques over a joint's position, as sums of shapes: which a residual asks for.
 
 Each shape is a torque along the measured path of one joint, so what it does to the
-positions follows from `JointResponse` without a rollout. Beside it the fit may use a
+positions follows from `JointResponse` without a rollout; in a log of torques it is the
+change itself. Beside it the fit may use a
 constant, a slope, friction and damping: what the common effects would explain does not
 count.
 """
@@ -10,14 +11,16 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import mujoco
 import numpy as np
 
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.arm.servo_response import JointResponse
-from rlco.gap.compare.problem import Integers
+from rlco.gap.compare.problem import Hypothesis, Integers
 from rlco.gap.compare.segments import joint_velocity
+from rlco.gap.compare.torque.torque_log import TorqueLog
 from rlco.gap.logs.log import Array
 from rlco.gap.search.whitening import Whitening
 from rlco.physics.effects import AppliedEffect
@@ -45,9 +48,48 @@ class Guess:
     gain: float
 
 
+class Path(Protocol):
+    """The measured path of one joint, and what torques along it change."""
+
+    @property
+    def position(self) -> list[Array]:
+        """By segment, (T,) each [rad]."""
+        ...
+
+    @property
+    def velocity(self) -> list[Array]:
+        """By segment, (T,) each [rad/s]."""
+        ...
+
+    def moved(self, torques: list[Array]) -> Array:
+        """Return the change of the residuals by torques, (..., rows).
+
+        Args:
+            torques: By segment, (..., T) each [N m].
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class TorquePath:
+    """A `Path` in a log of torques: what acts there a drive need not supply.
+
+    Attributes:
+        position: By recording, (T,) each [rad].
+        velocity: By recording, (T,) each [rad/s].
+    """
+
+    position: list[Array]
+    velocity: list[Array]
+
+    def moved(self, torques: list[Array]) -> Array:
+        """Return the change of the residuals by torques, (..., rows)."""
+        return np.concatenate(torques, axis=-1)
+
+
 @dataclass(frozen=True)
 class JointPath:
-    """The measured path of one joint in some recordings.
+    """A `Path` in a log of commands: a joint under its servo.
 
     Attributes:
         response: The joint under its servo.
@@ -81,16 +123,41 @@ class JointPath:
 
 
 def path_of(
-    problem: ArmRollouts, model: mujoco.MjModel, joint: str, recordings: Integers
-) -> JointPath | None:
+    problem: ArmRollouts | TorqueLog,
+    hypothesis: Hypothesis,
+    joint: str,
+    recordings: Integers,
+) -> Path | None:
     """Return a joint's measured path; None where it hardly moves, or has no servo.
 
     Args:
         problem: The robot and its log.
-        model: The robot with what acts already.
+        hypothesis: What acts already.
         joint: The joint.
         recordings: Those that are used.
     """
+    if isinstance(problem, ArmRollouts):
+        path = _servo_path(problem, problem.compiled(hypothesis), joint, recordings)
+    else:
+        path = _torque_path(problem, joint, recordings)
+    if path is None:
+        return None
+    low, high = np.quantile(np.concatenate(path.position), (0.005, 0.995))
+    return path if high - low > _SHORTEST else None
+
+
+def _torque_path(problem: TorqueLog, joint: str, recordings: Integers) -> Path:
+    column = problem.log.joints.index(joint)
+    motions = [problem.motions[index] for index in sorted(recordings)]
+    return TorquePath(
+        [one.position[:, column] for one in motions],
+        [one.velocity[:, column] for one in motions],
+    )
+
+
+def _servo_path(
+    problem: ArmRollouts, model: mujoco.MjModel, joint: str, recordings: Integers
+) -> Path | None:
     column = problem.log.joints.index(joint)
     segments = [one for one in problem.segments if one.recording in recordings]
     logs = [problem.log.recordings[one.recording] for one in segments]
@@ -113,14 +180,11 @@ def path_of(
         position.append(np.interp(steps, time, place))
         velocity.append(np.interp(steps, time, speed))
         frames.append(time[segment.begin - segment.first :] / step)
-    low, high = np.quantile(np.concatenate(position), (0.005, 0.995))
-    if high - low < _SHORTEST:
-        return None
     return JointPath(response, step, position, velocity, frames)
 
 
 def guesses(
-    path: JointPath, joint: str, rows: Integers, residual: Array, whitening: Whitening
+    path: Path, joint: str, rows: Integers, residual: Array, whitening: Whitening
 ) -> list[Guess]:
     """Return a guess at each effect whose torque depends on position, the best first.
 
@@ -163,7 +227,7 @@ def guesses(
     return sorted(found, key=lambda one: -one.gain)
 
 
-def counts_along(path: JointPath) -> Array:
+def counts_along(path: Path) -> Array:
     """Return the numbers of waves a turn that are told apart along a path, (counts,).
 
     Example:
@@ -188,7 +252,7 @@ class _Fit:
     """
 
     def __init__(
-        self, path: JointPath, rows: Integers, residual: Array, whitening: Whitening
+        self, path: Path, rows: Integers, residual: Array, whitening: Whitening
     ) -> None:
         self.path, self.scale = path, whitening.scale[rows]
         self.basis, self.weight = whitening.basis[rows], whitening.shrink**2 - 1.0

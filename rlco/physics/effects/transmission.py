@@ -184,7 +184,7 @@ COGGING = Effect(
     targets=driven_hinges,
     parameters=_cogging_parameters,
     torque=_cogging,
-    shown_by=("positions",),
+    shown_by=("positions", "torques"),
     uncommon=True,
 )
 
@@ -218,6 +218,6 @@ HARDENING_SPRING = Effect(
     targets=driven_hinges,
     parameters=_hardening_spring_parameters,
     torque=_hardening_spring,
-    shown_by=("positions",),
+    shown_by=("positions", "torques"),
     uncommon=True,
 )

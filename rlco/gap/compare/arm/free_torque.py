@@ -66,6 +66,20 @@ def session_begins(logs: Sequence[Recording]) -> Array:
     return np.asarray(before - np.array([one.time[0] for one in logs]))
 
 
+def knots_of(position: Array, velocity: Array) -> tuple[Array, Array] | None:
+    """Return the knots over position and over velocity; None where nothing moves.
+
+    Args:
+        position: Of one joint, (T,).
+        velocity: (T,).
+    """
+    places = np.quantile(position, _PLACES)
+    fastest = float(np.quantile(np.abs(velocity), 0.98))
+    if fastest == 0.0 or not (np.diff(places) > 0).all():
+        return None
+    return np.asarray(places), fastest * _SPEEDS
+
+
 def free_torque(
     problem: ArmRollouts,
     hypothesis: Hypothesis,
@@ -88,11 +102,10 @@ def free_torque(
     logs = [problem.log.recordings[index] for index in recordings]
     position = [np.asarray(one.position, dtype=float)[:, column] for one in logs]
     velocity = [joint_velocity(one)[:, column] for one in logs]
-    places = np.quantile(np.concatenate(position), _PLACES)
-    fastest = float(np.quantile(np.abs(np.concatenate(velocity)), 0.98))
-    if gain == 0.0 or fastest == 0.0 or not (np.diff(places) > 0).all():
+    knots = knots_of(np.concatenate(position), np.concatenate(velocity))
+    if gain == 0.0 or knots is None:
         return None
-    speeds = fastest * _SPEEDS
+    places, speeds = knots
     small = _SMALL * abs(gain) if problem.model.actuator_biasprm[actuator, 1] else 0.0
     small = small or _SMALL
     step = float(problem.model.opt.timestep)

@@ -61,6 +61,9 @@ class TorqueLog(Problem):
         calibration: The calibration that `spec` has, and what it leaves open; None: a
             few per cent of each parameter.
 
+    Attributes:
+        motions: The smoothed motion of each recording.
+
     Raises:
         DataError: If torques are missing, or a recording is shorter than the window.
 
@@ -94,7 +97,7 @@ class TorqueLog(Problem):
         if calibration is not None:
             self._nominal = _unconstrained(calibration.nominal)
             self._calibrated = calibration.effects()
-        self._motions = [smoothed(recording, window) for recording in log.recordings]
+        self.motions = [smoothed(recording, window) for recording in log.recordings]
         self._dofs = np.array([dof_of(self.model, name) for name in log.joints])
         self._actuators = [actuator_of(self.model, name) for name in log.joints]
         self.tolerance_names = (
@@ -105,13 +108,17 @@ class TorqueLog(Problem):
         self.layout = self._layout()
         self.noise = self._noise() if noise is None else np.asarray(noise)
 
-    def candidates(self) -> list[Candidate]:
+    def candidates(self, *, uncommon: bool = False) -> list[Candidate]:
         """Return each effect that changes a torque, at each target.
 
         A torque constant is a candidate only where a joint's torque correlates with the
         model's. Where friction dominates, such a factor could stand for anything.
         Between two recordings of one robot it is one of what is reported, and an offset
         of that stands for a bias of drives that the model lacks.
+
+        Args:
+            uncommon: Of the effects that are tried only where the others leave
+                something.
         """
         gain, driven = ACTUATOR_GAIN.name, driven_joints(self.model)
         joints = {self.model.joint(i).name for i in range(self.model.njnt)}
@@ -122,12 +129,12 @@ class TorqueLog(Problem):
         ]
         found = [
             Candidate(effect.name, target)
-            for effect in searched("torques")
+            for effect in searched("torques", uncommon=uncommon)
             for target in _targets(effect, self.model)
             if target not in joints or target in self.log.joints
             if effect.name != gain or target in correlated
         ]
-        if self.calibration is None:
+        if self.calibration is None or uncommon:
             return found
         found = [one for one in found if one.name != gain]
         found += [Candidate(TORQUE_SCALE.name, joint) for joint in correlated]
@@ -136,7 +143,7 @@ class TorqueLog(Problem):
 
     def _together(self) -> list[float]:
         """Return each joint's correlation of measured and modelled torque."""
-        motion = joined(self._motions)
+        motion = joined(self.motions)
         computed = self.torque(Hypothesis(), motion)
         return [
             float(np.corrcoef(one, other)[0, 1]) if one.any() and other.any() else 0.0
@@ -147,9 +154,9 @@ class TorqueLog(Problem):
         self, hypotheses: Sequence[Hypothesis], recordings: Sequence[int] | None = None
     ) -> Array:
         """Return measured minus computed torques, (hypotheses, N) [N m]."""
-        every = range(len(self._motions))
+        every = range(len(self.motions))
         chosen = [i for i in every if recordings is None or i in recordings]
-        motion = joined([self._motions[i] for i in chosen])
+        motion = joined([self.motions[i] for i in chosen])
         residuals = [motion.torque - self.torque(one, motion) for one in hypotheses]
         return np.stack([rows.ravel() for rows in residuals])
 
@@ -159,7 +166,7 @@ class TorqueLog(Problem):
         Besides the usual ones, ``position``; ``torque`` is the model's torque against
         gravity.
         """
-        motion = self._motions[recording]
+        motion = self.motions[recording]
         still = np.zeros_like(motion.position)
         model = self._spec.copy().compile()
         weight, _ = inverse_dynamics(model, self._dofs, (motion.position, still, still))
@@ -242,17 +249,17 @@ class TorqueLog(Problem):
         return [true(motion.position), *speeds]
 
     def _noise(self) -> Array:
-        parts = [(motion.time, motion.torque) for motion in self._motions]
+        parts = [(motion.time, motion.torque) for motion in self.motions]
         return measurement_noise(parts).deviation
 
     def _layout(self) -> Layout:
         joints = len(self.log.joints)
-        rows = [len(motion.time) for motion in self._motions]
+        rows = [len(motion.time) for motion in self.motions]
         slide = mujoco.mjtJoint.mjJNT_SLIDE
         kinds = self.model.jnt_type[self.model.dof_jntid[self._dofs]]
         return Layout(
             np.repeat(np.arange(len(rows)), np.array(rows) * joints),
-            np.repeat(np.concatenate([m.time for m in self._motions]), joints),
+            np.repeat(np.concatenate([m.time for m in self.motions]), joints),
             np.tile(np.arange(joints), sum(rows)),
             self.log.joints,
             tuple("N" if kind == slide else "N m" for kind in kinds),

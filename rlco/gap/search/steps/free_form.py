@@ -8,6 +8,7 @@ then is at work there, or a named one stands for it.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -16,10 +17,12 @@ from rlco.gap.compare.arm.free_torque import (
     FreeTorque,
     free_torque,
     hats,
+    knots_of,
     session_begins,
 )
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import FreeForm, Hypothesis
+from rlco.gap.compare.torque.torque_log import TorqueLog
 from rlco.gap.logs.log import Array
 from rlco.gap.search.comparison import clearly_better
 from rlco.gap.search.judge import NAMED, found, kind
@@ -36,14 +39,17 @@ def free_form(state: State) -> State:
     setting, problem = state.setting, state.setting.problem
     if state.free_form is not None or kind(state) not in (*NAMED, "unexplained"):
         return state
-    if not isinstance(problem, ArmRollouts):
+    if not isinstance(problem, ArmRollouts | TorqueLog):
         return state
     best = found(state)
     hypothesis = Hypothesis(best.effects)
     order = (*setting.train, *setting.heldout)
     winner: tuple[float, FreeTorque, Array, Array] | None = None
     for joint in problem.log.joints:
-        free = free_torque(problem, hypothesis, joint, sorted(order))
+        if isinstance(problem, TorqueLog):
+            free = _free_of_measured(problem, joint, sorted(order))
+        else:
+            free = free_torque(problem, hypothesis, joint, sorted(order))
         if free is None:
             continue
         columns = _whitened(setting, free)
@@ -62,6 +68,27 @@ def free_form(state: State) -> State:
     error, free, amounts, columns = winner
     shape = _shape(state, free, amounts, columns, 1.0 - error / best.error)
     return replace(state, free_form=shape)
+
+
+def _free_of_measured(
+    problem: TorqueLog, joint: str, recordings: Sequence[int]
+) -> FreeTorque | None:
+    """Return torques of any form at a joint whose torque is measured.
+
+    What acts there a drive need not supply, so the change is the torque itself.
+    """
+    column = problem.log.joints.index(joint)
+    motions = [problem.motions[index] for index in recordings]
+    position = np.concatenate([one.position[:, column] for one in motions])
+    velocity = np.concatenate([one.velocity[:, column] for one in motions])
+    found = knots_of(position, velocity)
+    if found is None:
+        return None
+    places, speeds = found
+    shape = np.concatenate([hats(position, places), hats(velocity, speeds)])
+    moved = np.zeros((len(shape), len(position), len(problem.log.joints)))
+    moved[:, :, column] = shape
+    return FreeTorque(joint, places, speeds, moved.reshape(len(shape), -1))
 
 
 def _heldout(everything: Array, training: int) -> float:

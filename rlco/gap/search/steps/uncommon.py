@@ -16,6 +16,7 @@ import numpy as np
 
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Candidate, Hypothesis
+from rlco.gap.compare.torque.torque_log import TorqueLog
 from rlco.gap.search.fit import Library, candidates_of
 from rlco.gap.search.judge import LARGEST, NEAR_FLOOR, at_bounds
 from rlco.gap.search.position_torques import Guess, guesses, path_of
@@ -46,7 +47,9 @@ def uncommon(state: State, additions: Additions) -> Generator[State, None, State
         additions: How a search goes on from first effects.
     """
     problem = state.setting.problem
-    if state.best.error <= NEAR_FLOOR or not isinstance(problem, ArmRollouts):
+    if state.best.error <= NEAR_FLOOR:
+        return state
+    if not isinstance(problem, ArmRollouts | TorqueLog):
         return state
     library = _library(problem, state)
     best = [
@@ -78,7 +81,7 @@ def uncommon(state: State, additions: Additions) -> Generator[State, None, State
     return tried
 
 
-def _library(problem: ArmRollouts, state: State) -> Library:
+def _library(problem: ArmRollouts | TorqueLog, state: State) -> Library:
     """Return the uncommon effects that were not left out, with their parameters."""
     left_out = state.setting.excluded
     return {
@@ -94,11 +97,11 @@ def _bases(state: State) -> list[Scored]:
 
 
 def _guesses(
-    state: State, problem: ArmRollouts, base: Scored, library: Library
+    state: State, problem: ArmRollouts | TorqueLog, base: Scored, library: Library
 ) -> list[Guess]:
     """Return the likeliest effects at each joint that something is left at."""
     setting, layout = state.setting, problem.layout
-    model = problem.compiled(Hypothesis(base.effects))
+    hypothesis = Hypothesis(base.effects)
     train = np.isin(layout.recording, setting.train)
     channel, residual = layout.channel[train], base.fit.residual
     found = []
@@ -107,7 +110,7 @@ def _guesses(
         squares = float(np.sum(residual[rows] ** 2))
         if squares < NEAR_FLOOR * len(rows):
             continue
-        path = path_of(problem, model, joint, np.array(setting.train))
+        path = path_of(problem, hypothesis, joint, np.array(setting.train))
         if path is None:
             continue
         for guess in guesses(path, joint, rows, residual, setting.weights.training):
