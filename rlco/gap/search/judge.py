@@ -19,7 +19,8 @@ LARGEST = 4  # maximum number of effects
 NEAR_FLOOR = 1.3  # error over the noise floor above which something is missing
 LOUD = 3.0  # ratio to the noise floor that the tolerance does not explain either
 BETTER = 0.03  # share of the held-out error that an effect must remove
-PLAIN = 0.01  # the same of one channel, whose noise was seen, by both tests
+PLAIN = 0.01  # the same of one channel, where the noise was seen before
+MUCH = 0.3  # the same of all, beyond which a few seconds that differ may decide there
 ENOUGH = 0.5  # share of the gap that effects must explain to be named
 QUIET = ("no_gap", "no_improvement", "not_identifiable")
 NAMED = ("named", "ambiguous")
@@ -79,11 +80,17 @@ def gain(state: State, one: Scored, other: Scored) -> float:
 
 
 def is_worth_it(state: State, one: Scored, other: Scored) -> bool:
-    """Return whether a set of effects is worth more than one with fewer."""
+    """Return whether a set of effects is worth more than one with fewer.
+
+    What a model lacks is not known of motion that it was not seen in. A few seconds of
+    such motion do not decide by themselves, unless the effect explains much.
+    """
     gained, setting = gain(state, one, other), state.setting
-    if gained > BETTER:
+    if setting.parts == 1:
+        return gained > BETTER and setting.better(one, other)
+    if gained > PLAIN and 1.0 - one.error / other.error > MUCH:
         return setting.better(one, other)
-    return setting.parts > 1 and gained > PLAIN and setting.better_by_both(one, other)
+    return gained > PLAIN and setting.better_by_both(one, other)
 
 
 def kind(state: State) -> str:
