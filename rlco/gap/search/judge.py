@@ -70,7 +70,7 @@ def gain(state: State, one: Scored, other: Scored) -> float:
         other: A set with fewer effects.
     """
     setting = state.setting
-    if setting.parts == 1:
+    if not setting.problem.noise_was_seen:
         return 1.0 - one.error / other.error
     none, before, after = (
         setting.heldout_squares(rows.everything) for rows in (state.none, other, one)
@@ -86,7 +86,7 @@ def is_worth_it(state: State, one: Scored, other: Scored) -> bool:
     such motion do not decide by themselves, unless the effect explains much.
     """
     gained, setting = gain(state, one, other), state.setting
-    if setting.parts == 1:
+    if not setting.problem.noise_was_seen:
         return gained > BETTER and setting.better(one, other)
     if gained > PLAIN and 1.0 - one.error / other.error > MUCH:
         return setting.better(one, other)
@@ -132,7 +132,7 @@ def _holds(state: State) -> bool:
         return False
     if at_bounds(setting.library, best.effects):
         return False
-    if setting.parts == 1:
+    if not setting.problem.noise_was_seen:
         before, after = setting.heldout_error(none), setting.heldout_error(best)
         return after < (1.0 - BETTER) * before
     together = setting.weights.together

@@ -56,7 +56,8 @@ def _worth_screening(state: State, at: Fit) -> list[Candidate]:
     sizes /= np.bincount(layout.channel[near])
     clean = CLEAN * min(1.0, float(np.median(sizes)))
     done = {layout.channels[i] for i in np.flatnonzero(sizes < clean)}
-    if setting.parts > 1:  # an offset of one joint may show in another, and be small
+    if setting.problem.noise_was_seen:
+        # An encoder's offset may show more at another joint, and be small.
         done = set()
     found = [c for c in fresh if c.target not in done]
     screened = {one.candidate for one in state.screenings}
