@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from rlco.errors import DataError, RlcoError, UnknownNameError
-from rlco.gap.calibrate.changed import Changed
+from rlco.gap.calibrate.changed import Changed, weights_of
 from rlco.gap.calibrate.fit import Calibration, calibrate, fitted_effects
 from rlco.gap.calibrate.numbers import Calibratable
 from rlco.gap.calibrate.remaining import SPREAD, Remaining
@@ -200,11 +200,15 @@ def changed_problem(
         noise = np.asarray(position_noise(parts).deviation)
         later = _again(known, model, parts, noise, remaining)
     again = _again(known, model, known.log, known.noise, remaining)
-    residual = again.residuals([Hypothesis()])[0]
+    residual = again.residuals([Hypothesis()])[0] * weights_of(again)
     lacking = residual_model(again, residual, later)
     unknown = lacking.deviation * _optimism(again, residual, calibration)
-    unknown = np.maximum(unknown, np.maximum(later.noise, known.noise))
-    problem = Changed(later, lacking.correction, unknown)
+    weight, channel = weights_of(later), later.layout.channel
+    # Of mean square one in each channel: sizes stay those of the rows.
+    usual = 1.0 / sizes(weight, channel, len(unknown))
+    unknown = np.maximum(usual * unknown, np.maximum(later.noise, known.noise))
+    lacked = usual[channel] * lacking.correction
+    problem = Changed(later, lacked, unknown, usual[channel] * weight)
     size = _sizes(problem, Hypothesis())
     seconds = sum(one.seconds for one in before.recordings)
     told = Before(

@@ -51,8 +51,24 @@ def sines(random: np.random.Generator, seconds: float = 4.0) -> Array:
     return np.stack(found, axis=1)
 
 
+def reaches(random: np.random.Generator, seconds: float = 6.0) -> Array:
+    """Return smooth moves of a second between random poses, with rests of half one."""
+    time = np.arange(int(seconds * FPS)) / FPS
+    goal, pose = np.zeros((len(time), len(JOINTS))), np.zeros(len(JOINTS))
+    for start in np.arange(0.5, seconds, 1.5):
+        wanted = random.uniform(-0.8, 0.8, len(JOINTS))
+        part = np.clip(time - start, 0.0, 1.0)
+        goal += (part**3 * (10 - 15 * part + 6 * part**2))[:, None] * (wanted - pose)
+        pose = wanted
+    return goal
+
+
 def record_torques(
-    *hide: Hide, seed: int = 0, episodes: int = 3, read: Callable[[Array], object] = len
+    *hide: Hide,
+    seed: int = 0,
+    episodes: int = 3,
+    read: Callable[[Array], object] = len,
+    motion: Callable[[np.random.Generator], Array] = sines,
 ) -> Log:
     """Record the motors' torques in motion that depends on the seed.
 
@@ -61,6 +77,7 @@ def record_torques(
         seed: Of the motion and the noise.
         episodes: Recordings of 4 s each.
         read: Changes the torques that are reported, in place.
+        motion: Goals of a recording, (rows, joints).
     """
     recordings = []
     for episode in range(episodes):
@@ -69,7 +86,7 @@ def record_torques(
             change(model)
         mujoco.mj_setConst(model, mujoco.MjData(model))
         data, random = mujoco.MjData(model), np.random.default_rng([seed, episode])
-        sent = sines(random)
+        sent = motion(random)
         position, torque = np.empty_like(sent), np.empty_like(sent)
         every = round(1 / FPS / model.opt.timestep)
         for frame in range(len(sent)):

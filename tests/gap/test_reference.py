@@ -15,6 +15,7 @@ from recorded_torques import (
     XML,
     Array,
     loaded_hand,
+    reaches,
     record_torques,
     wrong_everywhere,
 )
@@ -71,6 +72,28 @@ def test_a_factor_of_a_torque_is_named_and_not_converted(
     assert named(verdict) == [("torque_scale", "elbow")]
     factor = verdict.effects[0].parameters["factor"]
     assert factor.value == pytest.approx(30.0, rel=0.05)
+
+
+def without_friction(model: mujoco.MjModel) -> None:
+    wrong_everywhere(model)
+    model.dof_frictionloss[:] = 0.0
+
+
+def rubbing_elbow(model: mujoco.MjModel) -> None:
+    model.dof_frictionloss[1] += 0.06
+
+
+def test_a_friction_that_was_not_there_gets_no_other_beside_it(
+    arm: LoadedModel,
+) -> None:
+    # At rest it has any size: that looks like friction by speed, load or a delay.
+    first = record_torques(without_friction, seed=7, motion=reaches)
+    later = record_torques(without_friction, rubbing_elbow, seed=8, motion=reaches)
+    verdict = changed(arm, first, later)
+    assert named(verdict) == [("coulomb_friction", "elbow")]
+    assert not verdict.effects[0].rivals
+    friction = verdict.effects[0].parameters["frictionloss"]
+    assert friction.value == pytest.approx(0.06, rel=0.05)
 
 
 @pytest.mark.slow

@@ -22,7 +22,7 @@ from rlco.gap.calibrate.numbers import (
     usual_numbers,
 )
 from rlco.gap.compare.arm.rollouts import ArmRollouts
-from rlco.gap.compare.problem import Hypothesis
+from rlco.gap.compare.problem import Hypothesis, Integers
 from rlco.gap.compare.torque.inverse_dynamics import inverse_dynamics
 from rlco.gap.compare.torque.smooth_motion import smooth_motion
 from rlco.gap.compare.torque.torque_log import TorqueLog
@@ -34,10 +34,13 @@ from rlco.physics.effects.apply import apply_to_spec
 from rlco.physics.effects.link_parameters import LINK_PARAMETERS
 from rlco.physics.effects.targets import actuator_of
 
-STEPS = 6
+STEPS = 12
 _ENOUGH = 0.01  # part of the cost that a step must save for another one
 _DIFFERENCE = 0.05  # finite difference, in standard deviations of the prior
-_SHORTER = (1.0, 0.4, 0.15)  # parts of a step that are tried
+# Steps that are tried: a damping, in priors, that holds each number where it is, and
+# parts of the step with it.
+_TRIED = ((0.0, (1.0, 0.4, 0.15)), (9.0, (1.0, 0.4)), (99.0, (1.0,)))
+_PART = 0.1  # of a channel's mean square that a second of it has at the least
 _FIRST = 20.0  # seconds of recordings that the first steps fit
 # Root mean square, in noise, below which a combination of link numbers is left out.
 _SEEN = 0.15
@@ -254,16 +257,18 @@ class _Fit:
         """Take a step; return the part of the cost that it saved."""
         self.differentiate()
         # What a model that is wrong otherwise, too, leaves counts as noise.
-        weight = self.weights() / np.sqrt(self.length())
+        weight = self._robust_weights() / np.sqrt(self.length())
         rows = np.concatenate(
             [weight[:, None] * self.jacobian, np.eye(len(self.amounts))]
         )
         goal = np.concatenate([-weight * self.residual, -self.amounts])
         _, triangle = np.linalg.qr(np.column_stack([rows, goal]))
-        low = np.minimum(self.low - self.amounts, -1e-9)
-        most = np.full(len(low), np.inf)
-        whole = lsq_linear(triangle[:, :-1], triangle[:, -1], (low, most)).x
-        tried = [self.amounts + part * whole for part in _SHORTER]
+        tried = [
+            self.amounts + part * whole
+            for damping, parts in _TRIED
+            for whole in [self._damped(triangle, damping)]
+            for part in parts
+        ]
         residuals = self.rows(tried)
         totals = np.sum((weight * residuals) ** 2, axis=1)
         totals += [one @ one for one in tried]
@@ -278,6 +283,16 @@ class _Fit:
         self.cost = float(np.mean(self.residual**2))
         return 1.0 - float(totals[best]) / before
 
+    def _damped(self, triangle: Array, damping: float) -> Array:
+        """Return the step of least squares, within bounds (Levenberg, Marquardt)."""
+        low = np.minimum(self.low - self.amounts, -1e-9)
+        most = np.full(len(low), np.inf)
+        matrix, goal = triangle[:, :-1], triangle[:, -1]
+        if damping > 0.0:
+            matrix = np.concatenate([matrix, np.sqrt(damping) * np.eye(len(low))])
+            goal = np.concatenate([goal, np.zeros(len(low))])
+        return np.asarray(lsq_linear(matrix, goal, (low, most)).x)
+
     def weights(self) -> Array:
         """Return one over the noise or the channel's residual, where larger, (N,)."""
         channel = self.problem.layout.channel[self.near]
@@ -285,12 +300,26 @@ class _Fit:
         squares = np.bincount(channel, weights=self.residual**2) / counts
         return np.asarray(1.0 / np.sqrt(np.maximum(squares, 1.0)))[channel]
 
-    def length(self) -> float:
-        """Return how many rows count as one."""
+    def _robust_weights(self) -> Array:
+        """Return `weights` by seconds of a channel, (N,).
+
+        Where an arm that is too weak or too heavy falls, a few seconds of a channel are
+        far off: they would decide on all numbers.
+        """
+        _, place = np.unique(self._series(), return_inverse=True)
+        counts = np.bincount(place)
+        squares = (np.bincount(place, weights=self.residual**2) / counts)[place]
+        least = _PART / self.weights() ** 2
+        return np.asarray(1.0 / np.sqrt(np.maximum(np.maximum(squares, least), 1.0)))
+
+    def _series(self) -> Integers:
         layout = self.problem.layout
         series = seconds_of(layout) * len(layout.channels) + layout.channel
-        weighted = self.weights() * self.residual
-        return correlation_length(weighted, series[self.near])
+        return np.asarray(series[self.near])
+
+    def length(self) -> float:
+        """Return how many rows count as one."""
+        return correlation_length(self.weights() * self.residual, self._series())
 
     def normal(self) -> Array:
         """Return squared derivatives in units of the weights, (K, K)."""

@@ -155,8 +155,8 @@ class Calibrated(Protocol):
 class Problem(Protocol):
     """A robot's model and log, and the comparison of simulation with measurement.
 
-    Subclass it, or implement its members; `has_outliers`, `usual_sizes` and `runs` have
-    defaults.
+    Subclass it, or implement its members; `has_outliers`, `calibration`,
+    `noise_was_seen`, `inexact`, `usual_sizes` and `runs` have defaults.
     """
 
     model: mujoco.MjModel
@@ -170,6 +170,12 @@ class Problem(Protocol):
     has_outliers: bool = False
     # Calibration of the model; None where each number may be a few per cent off.
     calibration: Calibrated | None = None
+    # Whether `noise` is what the model was seen to leave in recordings made before, so
+    # that each channel's is known by itself.
+    noise_was_seen: bool = False
+    # Part of the mean square of an effect that the comparison itself may get wrong,
+    # where `noise_was_seen`: less beside this effect is no further one.
+    inexact: float = 0.0
 
     def candidates(self) -> list[Candidate]:
         """Return each effect at each target that this comparison can reveal."""

@@ -86,3 +86,12 @@ def clearly_better(
     if block_test(one, other, blocks) > DOUBT:
         return True
     return likelihood_test(one, other, series) > SURE
+
+
+def better_by_both(
+    one: Array, other: Array, blocks: Integers, series: Integers
+) -> bool:
+    """Return whether one residual is significantly smaller by either test."""
+    if block_test(one, other, blocks) <= DOUBT:
+        return False
+    return likelihood_test(one, other, series) > SURE

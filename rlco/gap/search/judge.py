@@ -19,6 +19,8 @@ LARGEST = 4  # maximum number of effects
 NEAR_FLOOR = 1.3  # error over the noise floor above which something is missing
 LOUD = 3.0  # ratio to the noise floor that the tolerance does not explain either
 BETTER = 0.03  # share of the held-out error that an effect must remove
+PLAIN = 0.01  # the same of one channel, where the noise was seen before
+MUCH = 0.3  # the same of all, beyond which a few seconds that differ may decide there
 ENOUGH = 0.5  # share of the gap that effects must explain to be named
 QUIET = ("no_gap", "no_improvement", "not_identifiable")
 NAMED = ("named", "ambiguous")
@@ -53,6 +55,42 @@ def residual_share(none: Scored, best: Scored) -> float:
     before = max(float(np.mean(none.everything**2)) - 1.0, 1e-9)
     after = max(float(np.mean(best.everything**2)) - 1.0, 0.0)
     return min(after / before, 1.0)
+
+
+def gain(state: State, one: Scored, other: Scored) -> float:
+    """Return the share of the held-out error that a set of effects removes.
+
+    Where the noise was seen in recordings made before, each channel is taken by itself,
+    and the one that gains most counts. But of those in which `other` explains something
+    already, only where `one` removes more than the comparison may get wrong of that.
+
+    Args:
+        state: Of the search.
+        one: The set.
+        other: A set with fewer effects.
+    """
+    setting = state.setting
+    if not setting.problem.noise_was_seen:
+        return 1.0 - one.error / other.error
+    none, before, after = (
+        setting.heldout_squares(rows.everything) for rows in (state.none, other, one)
+    )
+    plain = before - after >= setting.problem.inexact * (none - before)
+    return float(np.max(np.where(plain, 1.0 - np.sqrt(after / before), 0.0)))
+
+
+def is_worth_it(state: State, one: Scored, other: Scored) -> bool:
+    """Return whether a set of effects is worth more than one with fewer.
+
+    What a model lacks is not known of motion that it was not seen in. A few seconds of
+    such motion do not decide by themselves, unless the effect explains much.
+    """
+    gained, setting = gain(state, one, other), state.setting
+    if not setting.problem.noise_was_seen:
+        return gained > BETTER and setting.better(one, other)
+    if gained > PLAIN and 1.0 - one.error / other.error > MUCH:
+        return setting.better(one, other)
+    return gained > PLAIN and setting.better_by_both(one, other)
 
 
 def kind(state: State) -> str:
@@ -94,5 +132,12 @@ def _holds(state: State) -> bool:
         return False
     if at_bounds(setting.library, best.effects):
         return False
-    before, after = setting.heldout_error(none), setting.heldout_error(best)
-    return after < (1.0 - BETTER) * before
+    if not setting.problem.noise_was_seen:
+        before, after = setting.heldout_error(none), setting.heldout_error(best)
+        return after < (1.0 - BETTER) * before
+    together = setting.weights.together
+    whole, rest = (
+        setting.heldout_squares(together.scaled_from(one.everything))
+        for one in (none, best)
+    )
+    return bool((rest < (1.0 - PLAIN) ** 2 * whole).any())

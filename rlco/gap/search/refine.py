@@ -50,11 +50,11 @@ def _beside(at: Fit) -> Array:
 
 
 def starts_beside(
-    library: Library, screenings: Iterable[Screening], at: Fit
+    library: Library, screenings: Iterable[Screening], at: Fit, hint: float = HINT
 ) -> list[tuple[AppliedEffect, ...]]:
     """Return starts of the most informative candidates, added to present effects."""
     starts, counts = [], dict[Candidate, int]()
-    for one in ranked(screenings, at):
+    for one in ranked(screenings, at, hint):
         count = counts.get(one.candidate, 0)
         if count == 2 or (count == 0 and len(counts) == FITTED):
             continue

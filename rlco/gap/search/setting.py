@@ -9,7 +9,7 @@ import numpy as np
 
 from rlco.gap.compare.problem import Candidate, Hypothesis, Integers, Problem
 from rlco.gap.logs.log import Array
-from rlco.gap.search.comparison import clearly_better
+from rlco.gap.search.comparison import better_by_both, clearly_better
 from rlco.gap.search.fit import Fit, Library, candidates_of
 from rlco.gap.search.outliers import Outliers, Rows
 from rlco.gap.search.whitening import Whitening, often
@@ -203,9 +203,38 @@ class Setting:
         scaled = self.weights.together.scaled_from(one.everything)
         return float(np.sqrt(np.mean(scaled[len(one.fit.residual) :] ** 2)))
 
+    @property
+    def parts(self) -> int:
+        """Number of parts of the residual that an effect may help one of, 1 or more.
+
+        What a model leaves in recordings made before is known channel by channel: there
+        an effect may be small beside the whole error, and plain in one channel. In one
+        log alone, so little may be an error of any other number of the model.
+        """
+        problem = self.problem
+        return len(problem.layout.channels) if problem.noise_was_seen else 1
+
+    def heldout_squares(self, residual: Array) -> Array:
+        """Return the sum of squares of each part of the held-out rows, (parts,).
+
+        Args:
+            residual: Of all recordings, training first, (N,).
+        """
+        first = int(np.isin(self.problem.layout.recording, self.train).sum())
+        part = self.series[first:] % self.parts
+        squares = residual[first:] ** 2
+        found = np.bincount(part, weights=squares, minlength=self.parts)
+        return np.asarray(found, dtype=float)
+
     def better(self, one: Scored, other: Scored) -> bool:
         """Return whether a fit is significantly better than another."""
         return clearly_better(
+            one.everything, other.everything, self.blocks, self.series
+        )
+
+    def better_by_both(self, one: Scored, other: Scored) -> bool:
+        """Return whether a fit is significantly better by both tests."""
+        return better_by_both(
             one.everything, other.everything, self.blocks, self.series
         )
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from rlco.gap.search.comparison import (
+    better_by_both,
     block_test,
     clearly_better,
     correlation_length,
@@ -47,6 +48,9 @@ def test_an_effect_in_one_second_of_forty_is_found_by_the_likelihood() -> None:
     assert likelihood_test(best, other, _BLOCKS) == pytest.approx(21.2, rel=0.15)
     assert clearly_better(best, other, _BLOCKS, _BLOCKS)
     assert not clearly_better(other, best, _BLOCKS, _BLOCKS)
+    # One second is not all that both tests ask for; each second is.
+    assert not better_by_both(best, other, _BLOCKS, _BLOCKS)
+    assert better_by_both(best, best + 0.5, _BLOCKS, _BLOCKS)
 
 
 def test_two_wrong_models_need_more_than_a_small_difference() -> None:

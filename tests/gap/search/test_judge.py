@@ -1,11 +1,20 @@
-"""When a number of an effect counts as having run to its bounds."""
+"""When a number counts as having run to its bounds, and when an effect is worth it."""
 
 from __future__ import annotations
 
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
 import pytest
+from small_problems import arm_problem
 
 from rlco.gap.compare.problem import Candidate
-from rlco.gap.search.judge import at_bounds
+from rlco.gap.search.find_gap import find_gap
+from rlco.gap.search.judge import at_bounds, gain
+from rlco.gap.search.setting import Scored
+from rlco.gap.search.state import State
+from rlco.gap.search.steps.start import start
 from rlco.physics.effects import AppliedEffect, Parameter
 
 # As of a motor of 6.2 N m: limits up to a hundred times that are bounds, not guesses.
@@ -30,3 +39,54 @@ def test_a_number_that_ran_into_its_lower_bound_is_there(limit: float) -> None:
 
 def test_a_number_that_stayed_neutral_is_not_there() -> None:
     assert not found(620.0)
+
+
+SMALL = AppliedEffect("coulomb_friction", "elbow", {"frictionloss": 0.005})
+
+
+def with_errors(state: State, shoulder: float, elbow: float) -> Scored:
+    """Return a fit whose whitened residual has the same size in all rows of a joint."""
+    part = state.setting.series % 2
+    return replace(state.none, everything=np.where(part == 0, shoulder, elbow))
+
+
+@pytest.fixture(scope="module")
+def quiet() -> State:
+    return start(arm_problem(recordings=3, seconds=1.0))
+
+
+def seen(state: State, inexact: float = 0.0) -> State:
+    problem = copy(state.setting.problem)
+    problem.noise_was_seen, problem.inexact = True, inexact
+    return replace(state, setting=replace(state.setting, problem=problem))
+
+
+def test_where_the_noise_was_seen_the_joint_that_gains_most_counts(
+    quiet: State,
+) -> None:
+    none, one = with_errors(quiet, 1.0, 1.0), with_errors(quiet, 1.0, 0.9)
+    whole = 1.0 - np.sqrt((1.0 + 0.81) / 2.0)
+    assert gain(quiet, one, none) == pytest.approx(whole)
+    assert gain(seen(quiet), one, none) == pytest.approx(0.1)
+
+
+def test_what_a_comparison_may_get_wrong_of_one_effect_is_no_second(
+    quiet: State,
+) -> None:
+    state = replace(
+        seen(quiet, inexact=0.02), scores={frozenset(): with_errors(quiet, 20.0, 1.0)}
+    )
+    first = with_errors(state, 2.6, 1.0)  # 400 - 6.76 explained: 2 % are 7.9
+    assert gain(state, with_errors(state, 1.5, 1.0), first) == 0.0
+    # Nothing was explained at the elbow: there a second is none of the first's error.
+    second = with_errors(state, 1.5, 0.95)
+    assert gain(state, second, first) == pytest.approx(0.05)
+
+
+def test_a_small_friction_is_named_only_where_the_noise_was_seen() -> None:
+    problem = arm_problem(SMALL, recordings=6, seconds=4.0)
+    assert not find_gap(problem).effects
+    problem.noise_was_seen = True
+    (named,) = find_gap(problem).effects
+    assert (named.name, named.target) == ("coulomb_friction", "elbow")
+    assert named.parameters["frictionloss"].value == pytest.approx(0.005, rel=0.3)

@@ -19,6 +19,7 @@ from collections.abc import Mapping, Sequence
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
 from rlco.gap.compare.noise import measurement_noise
 from rlco.gap.compare.problem import (
@@ -47,6 +48,7 @@ from rlco.physics.effects.targets import actuator_of, dof_of, driven_joints
 # Range of velocities over which friction changes sign [rad/s].
 SIGN_SPEED = 0.01
 _TOGETHER = 0.8
+BoolArray = NDArray[np.bool_]
 
 
 class TorqueLog(Problem):
@@ -159,6 +161,14 @@ class TorqueLog(Problem):
         motion = joined([self.motions[i] for i in chosen])
         residuals = [motion.torque - self.torque(one, motion) for one in hypotheses]
         return np.stack([rows.ravel() for rows in residuals])
+
+    def standing(self) -> BoolArray:
+        """Return where a joint is so slow that its friction's sign is smoothed, (N,).
+
+        Friction at rest takes any value up to that in motion, and either sign.
+        """
+        velocity = np.concatenate([motion.velocity for motion in self.motions])
+        return np.asarray(np.abs(velocity) < 2.0 * SIGN_SPEED).ravel()
 
     def traces(self, hypothesis: Hypothesis, recording: int) -> Mapping[str, Array]:
         """Return signals of one recording, see `Problem.traces`.

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rlco.gap.search.judge import BETTER, at_bounds
+from rlco.gap.search.judge import at_bounds, is_worth_it
 from rlco.gap.search.state import State
 
 VISIBLE = 0.05  # mean square beyond the tolerance that an effect must cause by itself
@@ -28,8 +28,7 @@ def _without_one(state: State) -> State:
     fewer = [tuple(e for e in effects if e is not dropped) for dropped in effects]
     state, options = state.fit(fewer)
     for one in options:
-        loss = 1.0 - best.error / one.error
-        if loss < BETTER or not state.setting.better(best, one):
+        if not is_worth_it(state, best, one):
             state = state.noted(effects=one.effects, dropped=True)
             return replace(state, best=one)
     return state
@@ -54,7 +53,7 @@ def drop_unobservable(state: State) -> State:
         whitened = setting.at_first.whiten(rows)
         changes = np.mean((whitened[1:] - whitened[0]) ** 2, axis=1)
         least = int(changes.argmin())
-        if changes[least] > VISIBLE:
+        if changes[least] > VISIBLE / setting.parts:
             break
         dropped = best.effects[least]
         state, fits = state.fit([tuple(e for e in best.effects if e is not dropped)])

@@ -10,8 +10,9 @@ from rlco.gap.compare.problem import Candidate
 from rlco.gap.search.comparison import block_sums
 from rlco.gap.search.discontinuous import best_values, better_start, is_discontinuous
 from rlco.gap.search.fit import Fit, candidates_of, linearise
-from rlco.gap.search.judge import BETTER, NEAR_FLOOR, at_bounds
+from rlco.gap.search.judge import NEAR_FLOOR, at_bounds, gain, is_worth_it
 from rlco.gap.search.refine import (
+    HINT,
     polished,
     ranked,
     refined,
@@ -25,8 +26,10 @@ from rlco.physics.effects import AppliedEffect
 
 CLEAN = 1.1  # ratio to the typical mean square of a joint that needs no effect
 SCREENED_AGAIN = 24  # candidates of a screening under effects
-FITTABLE = 0.985  # ratio of mean squares that two steps must achieve
-WORTH_BOUNDS = 0.1  # as `BETTER` if a parameter reached its bounds: all are in doubt
+FITTABLE = 0.015  # share of the mean square that two steps must remove
+WORTH_BOUNDS = (
+    0.1  # as `judge.BETTER` if a parameter reached its bounds: all are in doubt
+)
 
 
 def shortlist(state: State) -> State:
@@ -53,9 +56,15 @@ def _worth_screening(state: State, at: Fit) -> list[Candidate]:
     sizes /= np.bincount(layout.channel[near])
     clean = CLEAN * min(1.0, float(np.median(sizes)))
     done = {layout.channels[i] for i in np.flatnonzero(sizes < clean)}
+    if setting.problem.noise_was_seen:
+        # An encoder's offset may show more at another joint, and be small.
+        done = set()
     found = [c for c in fresh if c.target not in done]
     screened = {one.candidate for one in state.screenings}
-    informative = dict.fromkeys(one.candidate for one in ranked(state.screenings, at))
+    hint = HINT / setting.parts
+    informative = dict.fromkeys(
+        one.candidate for one in ranked(state.screenings, at, hint)
+    )
     again = set(list(informative)[:SCREENED_AGAIN])
     return [c for c in found if c in again or c not in screened]
 
@@ -85,10 +94,12 @@ def screen(state: State) -> State:
 def forward(state: State) -> State:
     """Fit the candidates that would explain most, each added to the best effects."""
     now, subset = _round(state), state.screening_setting()
-    starts = starts_beside(subset.library, now.screenings, now.at)
+    hint = HINT / subset.parts
+    starts = starts_beside(subset.library, now.screenings, now.at, hint)
     if now.at.cost > NEAR_FLOOR**2:
         starts = _tried_values(subset, starts, now.at)
-    state, options = refined(state, subset, starts, now.at, FITTABLE * now.at.cost)
+    most = (1.0 - FITTABLE / subset.parts) * now.at.cost
+    state, options = refined(state, subset, starts, now.at, most)
     return replace(state, round=replace(now, options=tuple(options)))
 
 
@@ -139,7 +150,7 @@ def _instead(
     fresh = [one for one in _round(state).screenings if one.candidate not in names]
     starts = [
         kept + start_of(subset.library, one, at.residual)
-        for one in ranked(fresh, at)[:3]
+        for one in ranked(fresh, at, HINT / subset.parts)[:3]
         if one.candidate != Candidate(out.name, out.target)
         and frozenset((*names, one.candidate)) not in state.scores
     ]
@@ -169,12 +180,12 @@ def _picked(state: State, options: tuple[Scored, ...]) -> tuple[State, Scored | 
     """Return the best option that is clearly better than the best so far."""
     setting, best = state.setting, state.best
     for one in sorted(options, key=lambda one: one.fit.cost):
-        gain = 1.0 - one.error / best.error
+        gained = gain(state, one, best)
         # A parameter at its bound explains nothing: another effect is likely.
         ran = at_bounds(setting.library, one.effects)
         ran = ran and not at_bounds(setting.library, best.effects)
-        sure = gain > (WORTH_BOUNDS if ran else BETTER) and setting.better(one, best)
-        row = {"effects": one.effects, "error": one.error, "gain": gain}
+        sure = is_worth_it(state, one, best) and (not ran or gained > WORTH_BOUNDS)
+        row = {"effects": one.effects, "error": one.error, "gain": gained}
         state = state.noted(**row, taken=sure)
         if sure:
             return state, one
