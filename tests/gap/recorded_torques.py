@@ -69,6 +69,7 @@ def record_torques(
     episodes: int = 3,
     read: Callable[[Array], object] = len,
     motion: Callable[[np.random.Generator], Array] = sines,
+    act: Callable[[mujoco.MjModel, mujoco.MjData], None] | None = None,
 ) -> Log:
     """Record the motors' torques in motion that depends on the seed.
 
@@ -78,6 +79,7 @@ def record_torques(
         episodes: Recordings of 4 s each.
         read: Changes the torques that are reported, in place.
         motion: Goals of a recording, (rows, joints).
+        act: Pushes at each step besides.
     """
     recordings = []
     for episode in range(episodes):
@@ -94,6 +96,8 @@ def record_torques(
             last = sent[max(frame - 1, 0)]
             for part in np.arange(1, every + 1) / every:
                 data.ctrl[:] = last + part * (sent[frame] - last)
+                if act is not None:
+                    act(model, data)
                 mujoco.mj_step(model, data)
             mujoco.mj_forward(model, data)
             position[frame], torque[frame] = data.qpos, data.qfrc_actuator
