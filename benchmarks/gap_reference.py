@@ -145,8 +145,10 @@ def run_case(case: Case) -> Row:
     hidden: list[Hidden] = []
     for name in case.effects:
         hidden.append(_drawn(name, arm, used, hidden, random))
-    later = _recorded(case, motion, sent[1], hidden)
+    unchanged, later = later, _recorded(case, motion, sent[1], hidden)
     noise = _TORQUE_NOISE * used.torque
+    floor = noise if case.torques else np.full(len(arm.joints), motion.noise)
+    shows = _shows(case, arm, unchanged, later, hidden) / floor
     logs = [
         _log(
             arm, motion, episodes, commanded, case.torques, noise, hidden * late, random
@@ -187,6 +189,7 @@ def run_case(case: Case) -> Row:
         "verdict": verdict.verdict,
         "found": found,
         "truth": truth,
+        "shows": round(float(shows.max()), 2),
         "share": verdict.unexplained["share"],
         "closest": [[c.name, c.target, s] for c, s in verdict.closest],
         "cost": [calibration.cost_before, calibration.cost],
@@ -197,6 +200,26 @@ def run_case(case: Case) -> Row:
         "cpu_calibration": round(calibrated, 1),
     }
     return row | judged(row)
+
+
+def _shows(
+    case: Case,
+    arm: Arm,
+    before: Sequence[Recorded],
+    after: Sequence[Recorded],
+    hidden: Sequence[Hidden],
+) -> Array:
+    """Return how much of the same motion changed, root mean square, (joints,)."""
+    name = "torque" if case.torques else "position"
+    one, other = (
+        np.concatenate([getattr(episode, name) for episode in part])
+        for part in (before, after)
+    )
+    for effect in hidden:
+        if effect.name == "torque_scale":
+            column = arm.joints.index(str(effect.target))
+            other[:, column] *= effect["factor"]
+    return np.asarray(np.sqrt(np.mean((other - one) ** 2, axis=0)))
 
 
 def judged(row: Row) -> Row:
@@ -308,8 +331,8 @@ def table(rows: Sequence[Row]) -> str:
     """Return the results in Markdown."""
     lines = [
         "| group | cases | names exact | or in the class | exact, size within 15 % "
-        "| named | median CPU s |",
-        "|---" * 7 + "|",
+        "| the same of those that show | named | median CPU s |",
+        "|---" * 8 + "|",
     ]
     kinds = {row["group"]: None for row in rows}
     for group in kinds:
@@ -318,6 +341,8 @@ def table(rows: Sequence[Row]) -> str:
             share_of([row[key] for row in inside])
             for key in ("exact", "in_class", "sized")
         ]
+        # No recording can show what changes less than its noise.
+        cells.append(share_of([row["sized"] for row in inside if row["shows"] >= 1.0]))
         named = share_of([bool(row["found"]) for row in inside])
         seconds = float(np.median([row["cpu"] for row in inside]))
         lines.append(
