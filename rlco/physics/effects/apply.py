@@ -105,7 +105,14 @@ def checked(
                 effect.name, effect.target, f"{name} is {value}", "give a finite number"
             )
     for parameter in parameters:
-        value = effect.parameters[parameter.name]
+        value, low = effect.parameters[parameter.name], parameter.low
+        if parameter.unit and (value < 0.0 <= low or value == 0.0 < low):
+            raise EffectError(
+                effect.name,
+                effect.target,
+                f"{parameter.name}={value:g} {parameter.unit} cannot be so small",
+                "give a number above 0" if low > 0.0 else "give 0 or more",
+            )
         if parameter.present is not None and parameter.after(value) < 0.0:
             raise EffectError(
                 effect.name,

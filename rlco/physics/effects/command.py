@@ -87,9 +87,6 @@ def _random_delay_on_controller(
 
 def _random_delay_refuse(values: Array) -> tuple[str, str] | None:
     mean, spread = float(values[0]), float(values[1])
-    if mean < 0.0 or spread < 0.0:
-        given = f"mean={mean:g} and spread={spread:g} are times"
-        return given, "give 0 or more for both"
     if mean == 0.0 < spread:
         return (
             f"spread={spread:g} of delays that are never negative and whose mean is 0",

@@ -50,7 +50,8 @@ def _viscous_damping_parameters(
     present = float(model.dof_damping[dof_of(model, str(target))])
     scale = max(present, 0.05)
     starts = (0.5 * scale, 4.0 * scale, -0.4 * present)
-    size = ("damping", "N m s/rad", -0.95 * present, 200 * scale, 0.0, starts)
+    most = max(200 * scale, holding_torque(model, str(target)))
+    size = ("damping", "N m s/rad", -0.95 * present, most, 0.0, starts)
     return (Parameter(*size, present=Present(present)),)
 
 

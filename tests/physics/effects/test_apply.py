@@ -222,6 +222,12 @@ def test_numbers_come_in_the_librarys_order() -> None:
         (effect("damping", "robot0_elbow", damping=1.0), "unknown effect 'damping'"),
         (effect("armature", "robot0_elbow"), "armature, given: none; give"),
         (effect("armature", "robot0_elbow", armature=np.inf), "armature is inf"),
+        (effect("command_delay", None, delay=-0.02), "delay=-0.02 s .* give 0 or more"),
+        (effect("control_rate", None, period=-0.1), "period=-0.1 s cannot be so small"),
+        (
+            effect("stribeck_friction", "robot0_elbow", static=1.0, speed=0.0),
+            "speed=0 rad/s cannot be so small; give a number above 0",
+        ),
         (effect("armature", "knee", armature=1.0), "can act on robot0_shoulder, rob"),
         (effect("gravity_tilt", "robot0_elbow", roll=0, pitch=0), "the whole robot"),
         (effect("object_mass", "robot0_lower", factor=2), "nothing that it acts on"),

@@ -158,8 +158,8 @@ def test_two_random_delays_add_their_means_and_variances() -> None:
     ("mean", "spread", "message"),
     [
         (0.0, 0.02, "spread=0.02 of delays that are never negative and whose mean is"),
-        (-0.01, 0.0, "mean=-0.01 and spread=0 are times; give 0 or more for both"),
-        (0.05, -0.02, "mean=0.05 and spread=-0.02 are times; give 0 or more"),
+        (-0.01, 0.0, "mean=-0.01 s cannot be so small; give 0 or more"),
+        (0.05, -0.02, "spread=-0.02 s cannot be so small; give 0 or more"),
     ],
 )
 def test_delays_that_no_gamma_has_are_refused(

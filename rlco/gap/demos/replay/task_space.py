@@ -33,6 +33,8 @@ from rlco.gap.demos.replay.tracks import Track, Tracker, robot_geoms
 from rlco.gap.logs.log import Array, Log, Recording
 from rlco.physics.effects import AppliedEffect, Effect, searched
 from rlco.physics.effects.command import COMMAND_DELAY, RANDOM_DELAY
+from rlco.physics.effects.friction import VISCOUS_DAMPING
+from rlco.physics.effects.targets import holding_torque
 from rlco.physics.spec.domain import GivenDomain, make_domain
 from rlco.physics.spec.names import ACTION_NAMES
 from rlco.physics.spec.task import Task
@@ -42,6 +44,7 @@ _TOUCH = 0.002  # distance that counts as contact [m]
 _MOVING = 0.02  # speed that counts as motion [m/s]
 _RUN_IN = 2  # rows after which an arm has forgotten its initial velocity
 _LAGGING = 4  # further rows after which lagging actuators have settled
+_DAMPING = (0.03, 0.2)  # of the torque that holds a joint's links, at 1 rad/s
 _FINEST = 1e-5  # smallest noise of a channel [m or rad]
 
 
@@ -136,6 +139,19 @@ class TaskSpaceProblem(Problem):
                 for target in targets
                 if self._shows(effect, target)
             ]
+        return found
+
+    def usual_sizes(self) -> Mapping[Candidate, tuple[float, ...]]:
+        """Return damping that a task's controller feels, for each joint of the arm.
+
+        Models give an arm a damping that its controller makes nothing of; from there no
+        gradient leads to one that moves the tool.
+        """
+        found = {}
+        for joint in self.task.robot.model_joints:
+            torque = holding_torque(self.model, joint)
+            starts = tuple(part * torque for part in _DAMPING)
+            found[Candidate(VISCOUS_DAMPING.name, joint)] = starts
         return found
 
     def residuals(
