@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from rlco.gap.compare.problem import Candidate, Hypothesis
+from rlco.gap.logs.log import Array
 from rlco.gap.search.judge import NAMED, kind
 from rlco.gap.search.lateness import Lateness
 from rlco.gap.search.setting import Scored
@@ -14,6 +16,8 @@ from rlco.gap.search.state import State
 from rlco.physics.effects import AppliedEffect
 from rlco.physics.effects.command import COMMAND_DELAY, RANDOM_DELAY
 
+_DRAWS = 20_000  # of delays, to know how long commands wait for others
+_ROUNDS = 12
 _LATE = 0.3  # a mean of fewer spreads is none: commands would come early as often
 
 
@@ -38,13 +42,16 @@ def random_delay(state: State) -> State:
     mean = float(effects[at].values[0])
     if mean < _LATE * lateness.spread:
         return state
-    values = {"mean": mean, "spread": lateness.spread}
+    logs = [np.asarray(one.time) for one in lateness.problem.log.recordings]
+    mean, spread = before_waiting(logs, mean, lateness.spread)
+    values = {"mean": mean, "spread": spread}
     named = AppliedEffect(RANDOM_DELAY.name, None, values)
     known = RANDOM_DELAY.parameters(state.setting.problem.model, None)
     library = {**state.setting.library, Candidate(named.name, None): known}
     fit = replace(state.best.fit, effects=(*effects[:at], named, *effects[at + 1 :]))
     behind = sum(len(effect.parameters) for effect in effects[: at + 1])
-    widths = (*state.widths[:behind], lateness.width, *state.widths[behind:])
+    width = lateness.width * spread / lateness.spread
+    widths = (*state.widths[:behind], width, *state.widths[behind:])
     correlation = state.correlation
     if correlation is not None:
         # It is found from what the others leave, and depends on none of them.
@@ -58,6 +65,49 @@ def random_delay(state: State) -> State:
         widths=widths,
         correlation=correlation,
     )
+
+
+def before_waiting(
+    sent: Sequence[Array], mean: float, spread: float
+) -> tuple[float, float]:
+    """Return the distribution of delays of which commands took effect so late.
+
+    A command that overtakes none waits for the one before it, so that commands take
+    effect later than they arrive. `random_delay` is what they arrive by.
+
+    Args:
+        sent: When commands are sent, of each recording, (rows,) [s].
+        mean: Of the times by which they took effect late [s].
+        spread: Their standard deviation [s].
+
+    Returns:
+        Mean and standard deviation of a gamma distribution [s].
+
+    Example:
+        >>> rarely = [np.arange(0.0, 100.0, 1.0)]  # none catches up with another
+        >>> mean, spread = before_waiting(rarely, 0.05, 0.02)
+        >>> round(mean, 3), round(spread, 3)
+        (0.05, 0.02)
+    """
+    from scipy.special import gammaincinv  # takes a while to import
+
+    rows = sum(map(len, sent))
+    times = [*sent] * max(1, -(-_DRAWS // rows))
+    random = np.random.default_rng(0)
+    shares = [random.uniform(size=len(one)) for one in times]
+    drawn_mean, drawn_spread = mean, spread
+    for _ in range(_ROUNDS):
+        shape = (drawn_mean / drawn_spread) ** 2
+        scale = drawn_spread**2 / drawn_mean
+        late = np.concatenate(
+            [
+                np.maximum.accumulate(one + gammaincinv(shape, share) * scale) - one
+                for one, share in zip(times, shares, strict=True)
+            ]
+        )
+        drawn_mean = max(drawn_mean + mean - float(late.mean()), 0.1 * mean)
+        drawn_spread *= spread / float(late.std())
+    return drawn_mean, drawn_spread
 
 
 def _before_as_logged(state: State, lateness: Lateness) -> State:

@@ -112,7 +112,7 @@ def test_late_commands_are_named_with_the_distribution_of_their_times() -> None:
     (random,) = found.effects
     assert (random.name, random.target) == ("random_delay", None)
     mean, spread = random.parameters["mean"], random.parameters["spread"]
-    # A command waits for the next step, and does not overtake the one before it.
+    # A command waits for the next step.
     assert mean.value == pytest.approx(MEAN + 0.5 * STEP, abs=0.003)
     assert spread.value == pytest.approx(SPREAD, rel=0.15)
     assert spread.low < spread.value < spread.high
