@@ -36,6 +36,8 @@ from rlco.physics.effects.targets import actuator_of
 
 STEPS = 12
 _ENOUGH = 0.01  # part of the cost that a step must save for another one
+_NEARLY = 0.1  # the same of a stage before the last
+_SHORT = 0.4  # length of first rollouts [s]
 _DIFFERENCE = 0.05  # finite difference, in standard deviations of the prior
 # Steps that are tried: a damping, in priors, that holds each number where it is, and
 # parts of the step with it.
@@ -110,26 +112,24 @@ def calibrate(
         problem: The model and its log.
         recordings: Which are fitted; None for all.
         on_step: Called after each step with its number.
-        steps: At most this many.
+        steps: At most this many of each stage.
     """
     numbers = tuple(usual_numbers(problem))
     basis = _directions(problem, numbers)
     some = tuple(recordings or range(len(problem.log.recordings)))
-    fit = _Fit(problem, numbers, basis, _first(problem, some))
-    before = fit.cost
-    for step in range(steps):
-        last = fit.recordings == some
-        moved = fit.step()
-        if on_step is not None:
-            on_step(step)
-        if moved > _ENOUGH:
-            continue
-        if last:
-            break
-        fit = fit.on(some)
-    if fit.recordings != some:
-        fit = fit.on(some)
-        fit.step()
+    first = _first(problem, some)
+    fit = _Fit(problem, numbers, basis, first)
+    before, taken = fit.cost, 0
+    for one, fitted in _stages(problem, first, some):
+        fit = _Fit(one, numbers, basis, fitted, fit.amounts)
+        enough = _ENOUGH if one is problem else _NEARLY
+        for _ in range(steps):
+            moved = fit.step()
+            if on_step is not None:
+                on_step(taken)
+            taken += 1
+            if moved <= enough:
+                break
     return Calibration(
         numbers,
         basis @ fit.amounts,
@@ -140,6 +140,27 @@ def calibrate(
         before,
         fit.cost,
     )
+
+
+def _stages(
+    problem: Calibratable, first: tuple[int, ...], some: tuple[int, ...]
+) -> list[tuple[Calibratable, tuple[int, ...]]]:
+    """Return what is fitted one after the other, each with which recordings.
+
+    Where an arm that is wrong everywhere reaches its limits, it soon is somewhere else,
+    and derivatives along whole recordings lead nowhere. So short rollouts from measured
+    states come first (multiple shooting; Bock and Plitt 1984).
+    """
+    if not isinstance(problem, ArmRollouts) or problem.horizon is not None:
+        return [(problem, some)]
+    short = ArmRollouts(
+        problem.spec,
+        problem.log,
+        problem.noise,
+        horizon=_SHORT,
+        threads=problem.threads,
+    )
+    return [(short, first), (problem, some)]
 
 
 def _first(problem: Calibratable, some: tuple[int, ...]) -> tuple[int, ...]:

@@ -12,7 +12,11 @@ from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.torque.torque_log import TorqueLog
 from rlco.gap.logs.log import Array
 from rlco.physics.effects import EFFECTS, AppliedEffect
-from rlco.physics.effects.actuator import ACTUATOR_GAIN, TORQUE_BIAS
+from rlco.physics.effects.actuator import (
+    ACTUATOR_GAIN,
+    SERVO_DAMPING,
+    TORQUE_BIAS,
+)
 from rlco.physics.effects.friction import COULOMB_FRICTION, VISCOUS_DAMPING
 from rlco.physics.effects.inertia import ARMATURE
 from rlco.physics.effects.link_parameters import (
@@ -102,9 +106,11 @@ def _of_joint(problem: Calibratable, joint: str) -> Iterator[Number]:
         friction,
         max(RELATIVE * friction, torque),
     )
-    usual = max(RELATIVE * (damping + feedback), torque)
-    # A drive's own damping and the joint's act alike.
-    yield added(VISCOUS_DAMPING.name, "damping", damping + feedback, usual)
+    usual = max(RELATIVE * damping, torque)
+    yield added(VISCOUS_DAMPING.name, "damping", damping, usual)
+    if feedback > 0.0:
+        # Not the joint's own: at its limit a motor damps nothing.
+        yield Number(SERVO_DAMPING.name, joint, "factor", GAIN, factor=True)
     usual = max(RELATIVE * armature, _OF_INERTIA * inertia)
     yield added(ARMATURE.name, "armature", armature, usual)
     if isinstance(problem, TorqueLog):

@@ -15,6 +15,7 @@ from rlco.physics.effects.actuator import (
     ACTUATOR_GAIN,
     ACTUATOR_LAG,
     DRIVE_LOSS,
+    SERVO_DAMPING,
     TORQUE_BIAS,
     TORQUE_LIMIT,
 )
@@ -73,6 +74,7 @@ _LIBRARY = (
     PAYLOAD,
     LINK_INERTIA,
     ACTUATOR_GAIN,
+    SERVO_DAMPING,
     ACTUATOR_LAG,
     TORQUE_LIMIT,
     VELOCITY_LIMIT,

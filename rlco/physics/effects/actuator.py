@@ -21,6 +21,7 @@ from rlco.physics.effects.targets import (
     driven_joints,
     holding_torque,
     is_servo,
+    servo_joints,
 )
 
 
@@ -58,6 +59,36 @@ ACTUATOR_GAIN = Effect(
     parameters=_actuator_gain_parameters,
     on_spec=_actuator_gain_on_spec,
     tolerances=("gain",),
+)
+
+
+def _servo_damping_parameters(
+    model: mujoco.MjModel, target: str | None
+) -> tuple[Parameter, ...]:
+    damping = -float(model.actuator_biasprm[actuator_of(model, str(target)), 2])
+    present = Present(damping, "damping kv", "N m s/rad")
+    return (Parameter("factor", "", 0.1, 10.0, 1.0, (0.75, 1.35), present=present),)
+
+
+def _servo_damping_on_spec(
+    spec: mujoco.MjSpec, target: str | None, values: Array
+) -> None:
+    for actuator in actuators_of(spec, target):
+        bias = np.array(actuator.biasprm)
+        bias[2] *= values[0]
+        actuator.biasprm = bias
+
+
+SERVO_DAMPING = Effect(
+    name="servo_damping",
+    summary="A servo damps its joint by another damping kv, within its torque limit.",
+    signature="As viscous damping, but gone while the motor is at its limit.",
+    confused_with=("viscous_damping", "actuator_gain"),
+    targets=servo_joints,
+    parameters=_servo_damping_parameters,
+    on_spec=_servo_damping_on_spec,
+    shown_by=("positions",),
+    candidate=False,
 )
 
 

@@ -68,8 +68,9 @@ def damped(model: mujoco.MjModel) -> None:
 
 
 def lag_of_shoulder(calibration: Calibration) -> float:
-    """Return damping over stiffness, of 2.2 N m s and 40 N m in the turntables."""
-    damping = 2.2 + found(calibration, "viscous_damping", "shoulder", "damping")
+    """Return damping over stiffness: 0.2 + 2 N m s and 40 N m in the turntables."""
+    own = 0.2 + found(calibration, "viscous_damping", "shoulder", "damping")
+    damping = own + 2.0 * found(calibration, "servo_damping", "shoulder", "factor")
     return damping / (40.0 * found(calibration, "actuator_gain", "shoulder", "factor"))
 
 
@@ -77,8 +78,8 @@ def test_of_rollouts_only_link_numbers_that_matter_are_fitted() -> None:
     log = record(damped, xml=TURNTABLES, episodes=3)
     spec = mujoco.MjSpec.from_string(TURNTABLES)
     fitted = calibrate(ArmRollouts(spec, log, np.full(2, 4e-4), threads=1))
-    # Five numbers a joint; each link about a vertical axis has one inertia.
-    assert fitted.basis.shape[1] <= 2 * 5 + 2 * 3
+    # Six numbers a joint; each link about a vertical axis has one inertia.
+    assert fitted.basis.shape[1] <= 2 * 6 + 2 * 3
     # A softer servo with less damping lags alike.
     assert lag_of_shoulder(fitted) == pytest.approx(2.8 / 40.0, rel=0.01)
 
@@ -92,3 +93,19 @@ def test_a_second_that_is_far_off_does_not_decide() -> None:
     spec = mujoco.MjSpec.from_string(TURNTABLES)
     fitted = calibrate(ArmRollouts(spec, log, np.full(2, 4e-4), threads=1))
     assert lag_of_shoulder(fitted) == pytest.approx(2.8 / 40.0, rel=0.02)
+
+
+def test_what_a_servo_damps_is_told_from_the_joint_by_its_limit() -> None:
+    limited = TURNTABLES.replace('kp="40"', 'kp="40" forcerange="-0.8 0.8"')
+
+    def less(model: mujoco.MjModel) -> None:
+        model.actuator_biasprm[0, 2] *= 0.75
+
+    log = record(less, xml=limited, episodes=3)
+    spec = mujoco.MjSpec.from_string(limited)
+    fitted = calibrate(ArmRollouts(spec, log, np.full(2, 4e-4), threads=1))
+    assert fitted.cost < 1.5
+    factor = found(fitted, "servo_damping", "shoulder", "factor")
+    assert factor == pytest.approx(0.75, rel=0.05)
+    # A quarter of the servo's would be 0.5.
+    assert abs(found(fitted, "viscous_damping", "shoulder", "damping")) < 0.1

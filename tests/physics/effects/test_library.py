@@ -55,7 +55,7 @@ def _changed(name: str, target: str | None, *values: float) -> mujoco.MjModel:
 def test_the_names_are_those_that_reports_use() -> None:
     assert {effect.name for effect in EFFECTS.values() if effect.candidate} == _NAMES
     of_tasks = {"scene_friction", "scene_mass", "fixture_friction"}
-    calibrated = {"link_parameters", "torque_scale", "torque_offset"}
+    calibrated = {"link_parameters", "servo_damping", "torque_scale", "torque_offset"}
     given = {"controller_stiffness", "directional_friction", "random_delay"}
     assert set(EFFECTS) == _NAMES | of_tasks | calibrated | given
 
