@@ -55,9 +55,7 @@ def test_unseen_lights_are_refused_where_nothing_would_show_them() -> None:
     with pytest.raises(RlcoError, match="changes images alone, but none are drawn"):
         TaskEnv("push_cube", variation="lights")
     with pytest.raises(RlcoError, match="lights sets the lights, but look=random"):
-        TaskEnv(
-            "push_cube", variation="lights", look="random", render_mode="rgb_array"
-        )
+        TaskEnv("push_cube", variation="lights", look="random", render_mode="rgb_array")
 
 
 def test_registering_again_changes_nothing() -> None:
