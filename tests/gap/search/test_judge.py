@@ -57,11 +57,11 @@ def quiet() -> State:
 
 def seen(state: State, inexact: float = 0.0) -> State:
     problem = copy(state.setting.problem)
-    problem.noise_was_seen, problem.inexact = True, inexact
+    problem.noise_was_observed, problem.inexact = True, inexact
     return replace(state, setting=replace(state.setting, problem=problem))
 
 
-def test_where_the_noise_was_seen_the_joint_that_gains_most_counts(
+def test_where_the_noise_was_observed_the_joint_that_gains_most_counts(
     quiet: State,
 ) -> None:
     none, one = with_errors(quiet, 1.0, 1.0), with_errors(quiet, 1.0, 0.9)
@@ -119,10 +119,10 @@ def test_what_helps_no_joint_in_held_out_recordings_is_not_named(quiet: State) -
     assert not named(0.995)
 
 
-def test_a_small_friction_is_named_only_where_the_noise_was_seen() -> None:
+def test_a_small_friction_is_named_only_where_the_noise_was_observed() -> None:
     problem = arm_problem(SMALL, recordings=6, seconds=4.0)
     assert not find_gap(problem).effects
-    problem.noise_was_seen = True
+    problem.noise_was_observed = True
     (named,) = find_gap(problem).effects
     assert (named.name, named.target) == ("coulomb_friction", "elbow")
     assert named.parameters["frictionloss"].value == pytest.approx(0.005, rel=0.3)
