@@ -200,13 +200,16 @@ def changed_problem(
         noise = np.asarray(position_noise(parts).deviation)
         later = _again(known, model, parts, noise, remaining)
     again = _again(known, model, known.log, known.noise, remaining)
-    residual = again.residuals([Hypothesis()])[0] * weights_of(again)
+    rested, weight, channel = weights_of(again), weights_of(later), later.layout.channel
+    residual = again.residuals([Hypothesis()])[0] * rested
     lacking = residual_model(again, residual, later)
     unknown = lacking.deviation * _optimism(again, residual, calibration)
-    weight, channel = weights_of(later), later.layout.channel
     # Of mean square one in each channel: sizes stay those of the rows.
+    earlier = 1.0 / sizes(rested, again.layout.channel, len(unknown))
     usual = 1.0 / sizes(weight, channel, len(unknown))
-    unknown = np.maximum(usual * unknown, np.maximum(later.noise, known.noise))
+    # Where a joint rested for long before, it left little by its weight alone.
+    unknown = np.maximum(earlier, usual) * unknown
+    unknown = np.maximum(unknown, np.maximum(later.noise, known.noise))
     lacked = usual[channel] * lacking.correction
     problem = Changed(later, lacked, unknown, usual[channel] * weight)
     size = _sizes(problem, Hypothesis())

@@ -51,6 +51,13 @@ def test_with_a_camera_it_passes_gymnasiums_own_check() -> None:
     np.testing.assert_array_equal(env.render(), observation["pixels"])
 
 
+def test_unseen_lights_are_refused_where_nothing_would_show_them() -> None:
+    with pytest.raises(RlcoError, match="changes images alone, but none are drawn"):
+        TaskEnv("push_cube", variation="lights")
+    with pytest.raises(RlcoError, match="lights sets the lights, but look=random"):
+        TaskEnv("push_cube", variation="lights", look="random", render_mode="rgb_array")
+
+
 def test_registering_again_changes_nothing() -> None:
     before = dict(gymnasium.registry)
     with warnings.catch_warnings():

@@ -17,6 +17,7 @@ from recorded_torques import (
     loaded_hand,
     reaches,
     record_torques,
+    sines,
     wrong_everywhere,
 )
 from small_problems import BALL
@@ -94,6 +95,29 @@ def test_a_friction_that_was_not_there_gets_no_other_beside_it(
     assert not verdict.effects[0].rivals
     friction = verdict.effects[0].parameters["frictionloss"]
     assert friction.value == pytest.approx(0.06, rel=0.05)
+
+
+def rippled(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Push at the elbow as no number of the model does."""
+    data.qfrc_applied[1] = 0.05 * np.sin(7.0 * data.qpos[1])
+    data.qfrc_applied[1] *= np.tanh(3.0 * data.qvel[1])
+
+
+def a_move_and_a_long_rest(random: np.random.Generator) -> Array:
+    """Return goals that move for 1.5 s and then rest for 6.5 s."""
+    moves = sines(random, 1.5)
+    moves *= np.linspace(3.0, 0.0, len(moves)).clip(max=1.0)[:, None]
+    return np.concatenate([moves, np.repeat(moves[-1:], 325, axis=0)])
+
+
+def test_long_rests_before_do_not_make_what_is_not_known_small(
+    arm: LoadedModel,
+) -> None:
+    first = record_torques(
+        wrong_everywhere, seed=1, motion=a_move_and_a_long_rest, act=rippled
+    )
+    later = record_torques(wrong_everywhere, seed=2, act=rippled)
+    assert changed(arm, first, later).verdict == "no_change"
 
 
 @pytest.mark.slow

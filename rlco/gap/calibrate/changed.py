@@ -38,7 +38,7 @@ class Changed(Problem):
         self.model, self.log, self.layout = base.model, base.log, base.layout
         self.tolerance_names = base.tolerance_names
         self.calibration = base.calibration
-        self.noise_was_seen = base.calibration is not None
+        self.noise_was_observed = base.calibration is not None
         self.inexact = INEXACT if isinstance(base, TorqueLog) else 0.0
 
     def candidates(self) -> list[Candidate]:

@@ -156,7 +156,7 @@ class Problem(Protocol):
     """A robot's model and log, and the comparison of simulation with measurement.
 
     Subclass it, or implement its members; `has_outliers`, `calibration`,
-    `noise_was_seen`, `inexact`, `usual_sizes` and `runs` have defaults.
+    `noise_was_observed`, `inexact`, `usual_sizes` and `runs` have defaults.
     """
 
     model: mujoco.MjModel
@@ -170,11 +170,11 @@ class Problem(Protocol):
     has_outliers: bool = False
     # Calibration of the model; None where each number may be a few per cent off.
     calibration: Calibrated | None = None
-    # Whether `noise` is what the model was seen to leave in recordings made before, so
+    # Whether `noise` is what the model was observed to leave in earlier recordings, so
     # that each channel's is known by itself.
-    noise_was_seen: bool = False
+    noise_was_observed: bool = False
     # Part of the mean square of an effect that the comparison itself may get wrong,
-    # where `noise_was_seen`: less beside this effect is no further one.
+    # where `noise_was_observed`: less beside this effect is no further one.
     inexact: float = 0.0
 
     def candidates(self) -> list[Candidate]:

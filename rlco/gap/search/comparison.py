@@ -82,7 +82,7 @@ def likelihood_test(one: Array, other: Array, series: Integers) -> float:
 def clearly_better(
     one: Array, other: Array, blocks: Integers, series: Integers
 ) -> bool:
-    """Return whether one residual is significantly smaller than another."""
+    """Return whether one residual is significantly smaller by one of two tests."""
     if block_test(one, other, blocks) > DOUBT:
         return True
     return likelihood_test(one, other, series) > SURE
@@ -91,7 +91,7 @@ def clearly_better(
 def better_by_both(
     one: Array, other: Array, blocks: Integers, series: Integers
 ) -> bool:
-    """Return whether one residual is significantly smaller by either test."""
+    """Return whether one residual is significantly smaller by both tests."""
     if block_test(one, other, blocks) <= DOUBT:
         return False
     return likelihood_test(one, other, series) > SURE

@@ -19,7 +19,7 @@ LARGEST = 4  # maximum number of effects
 NEAR_FLOOR = 1.3  # error over the noise floor above which something is missing
 LOUD = 3.0  # ratio to the noise floor that the tolerance does not explain either
 BETTER = 0.03  # share of the held-out error that an effect must remove
-PLAIN = 0.01  # the same of one channel, where the noise was seen before
+PLAIN = 0.01  # the same of one channel, where the noise was observed before
 MUCH = 0.3  # the same of all, beyond which a few seconds that differ may decide there
 ENOUGH = 0.5  # share of the gap that effects must explain to be named
 QUIET = ("no_gap", "no_improvement", "not_identifiable")
@@ -60,9 +60,10 @@ def residual_share(none: Scored, best: Scored) -> float:
 def gain(state: State, one: Scored, other: Scored) -> float:
     """Return the share of the held-out error that a set of effects removes.
 
-    Where the noise was seen in recordings made before, each channel is taken by itself,
-    and the one that gains most counts. But of those in which `other` explains something
-    already, only where `one` removes more than the comparison may get wrong of that.
+    Where the noise was observed in recordings made before, each channel is taken by
+    itself, and the one that gains most counts. But of those in which `other` explains
+    something already, only where `one` removes more than the comparison may get wrong
+    of that.
 
     Args:
         state: Of the search.
@@ -70,7 +71,7 @@ def gain(state: State, one: Scored, other: Scored) -> float:
         other: A set with fewer effects.
     """
     setting = state.setting
-    if not setting.problem.noise_was_seen:
+    if not setting.problem.noise_was_observed:
         return 1.0 - one.error / other.error
     none, before, after = (
         setting.heldout_squares(rows.everything) for rows in (state.none, other, one)
@@ -86,7 +87,7 @@ def is_worth_it(state: State, one: Scored, other: Scored) -> bool:
     such motion do not decide by themselves, unless the effect explains much.
     """
     gained, setting = gain(state, one, other), state.setting
-    if not setting.problem.noise_was_seen:
+    if not setting.problem.noise_was_observed:
         return gained > BETTER and setting.better(one, other)
     if gained > PLAIN and 1.0 - one.error / other.error > MUCH:
         return setting.better(one, other)
@@ -132,7 +133,7 @@ def _holds(state: State) -> bool:
         return False
     if at_bounds(setting.library, best.effects):
         return False
-    if not setting.problem.noise_was_seen:
+    if not setting.problem.noise_was_observed:
         before, after = setting.heldout_error(none), setting.heldout_error(best)
         return after < (1.0 - BETTER) * before
     together = setting.weights.together

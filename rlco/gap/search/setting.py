@@ -212,7 +212,7 @@ class Setting:
         log alone, so little may be an error of any other number of the model.
         """
         problem = self.problem
-        return len(problem.layout.channels) if problem.noise_was_seen else 1
+        return len(problem.layout.channels) if problem.noise_was_observed else 1
 
     def heldout_squares(self, residual: Array) -> Array:
         """Return the sum of squares of each part of the held-out rows, (parts,).

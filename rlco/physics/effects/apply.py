@@ -106,7 +106,9 @@ def checked(
             )
     for parameter in parameters:
         value, low = effect.parameters[parameter.name], parameter.low
-        if parameter.unit and (value < 0.0 <= low or value == 0.0 < low):
+        # What a model has may become less, as far as there is some.
+        added = parameter.present is None and parameter.unit
+        if added and (value < 0.0 <= low or value == 0.0 < low):
             raise EffectError(
                 effect.name,
                 effect.target,

@@ -11,7 +11,7 @@ from small_problems import arm_problem
 
 from rlco.gap.compare.problem import Candidate
 from rlco.gap.search.find_gap import find_gap
-from rlco.gap.search.judge import at_bounds, gain
+from rlco.gap.search.judge import at_bounds, gain, is_worth_it, kind
 from rlco.gap.search.setting import Scored
 from rlco.gap.search.state import State
 from rlco.gap.search.steps.start import start
@@ -52,16 +52,16 @@ def with_errors(state: State, shoulder: float, elbow: float) -> Scored:
 
 @pytest.fixture(scope="module")
 def quiet() -> State:
-    return start(arm_problem(recordings=3, seconds=1.0))
+    return start(arm_problem(recordings=3, seconds=4.0))
 
 
 def seen(state: State, inexact: float = 0.0) -> State:
     problem = copy(state.setting.problem)
-    problem.noise_was_seen, problem.inexact = True, inexact
+    problem.noise_was_observed, problem.inexact = True, inexact
     return replace(state, setting=replace(state.setting, problem=problem))
 
 
-def test_where_the_noise_was_seen_the_joint_that_gains_most_counts(
+def test_where_the_noise_was_observed_the_joint_that_gains_most_counts(
     quiet: State,
 ) -> None:
     none, one = with_errors(quiet, 1.0, 1.0), with_errors(quiet, 1.0, 0.9)
@@ -83,10 +83,46 @@ def test_what_a_comparison_may_get_wrong_of_one_effect_is_no_second(
     assert gain(state, second, first) == pytest.approx(0.05)
 
 
-def test_a_small_friction_is_named_only_where_the_noise_was_seen() -> None:
+def in_two_seconds(state: State, size: float) -> Scored:
+    """Return a fit that leaves so much in two held-out seconds, and noise elsewhere."""
+    blocks = state.setting.blocks
+    rows = np.isin(blocks, np.unique(blocks)[-2:])
+    noise = np.random.default_rng(0).standard_normal(len(blocks))
+    return replace(state.none, everything=np.where(rows, size, 1.0) * noise)
+
+
+def test_a_few_seconds_decide_only_where_an_effect_explains_much(quiet: State) -> None:
+    state = seen(quiet)
+    little, much = in_two_seconds(quiet, 1.3), in_two_seconds(quiet, 10.0)
+    other = in_two_seconds(quiet, 1.0)
+    assert state.setting.better(other, little)
+    assert not is_worth_it(state, other, little)
+    assert is_worth_it(state, other, much)
+    # In one log alone, whose noise is not known joint by joint, either test decides.
+    assert is_worth_it(quiet, other, little)
+
+
+def test_what_helps_no_joint_in_held_out_recordings_is_not_named(quiet: State) -> None:
+    fit = replace(quiet.none.fit, effects=(SMALL,))
+    training = len(quiet.none.fit.residual)
+
+    def named(heldout: float) -> bool:
+        everything = np.full(len(quiet.setting.series), 0.5)
+        everything[training:] = np.where(
+            quiet.setting.series[training:] % 2, heldout, 1.0
+        )
+        none = {frozenset(): with_errors(quiet, 1.0, 1.0)}
+        best = replace(quiet.none, fit=fit, everything=everything)
+        return kind(replace(seen(quiet), scores=none, best=best)) == "named"
+
+    assert named(0.97)
+    assert not named(0.995)
+
+
+def test_a_small_friction_is_named_only_where_the_noise_was_observed() -> None:
     problem = arm_problem(SMALL, recordings=6, seconds=4.0)
     assert not find_gap(problem).effects
-    problem.noise_was_seen = True
+    problem.noise_was_observed = True
     (named,) = find_gap(problem).effects
     assert (named.name, named.target) == ("coulomb_friction", "elbow")
     assert named.parameters["frictionloss"].value == pytest.approx(0.005, rel=0.3)

@@ -242,6 +242,18 @@ def test_what_does_not_fit_is_refused(wrong: AppliedEffect, message: str) -> Non
         checked(model(), wrong)
 
 
+def test_a_model_may_have_less_friction_and_not_less_than_none() -> None:
+    rubbing = model()
+    rubbing.dof_frictionloss[0] = 0.5
+    less, gone = (
+        effect("coulomb_friction", "robot0_shoulder", frictionloss=size)
+        for size in (-0.4, -0.6)
+    )
+    assert checked(rubbing, less) == less
+    with pytest.raises(EffectError, match="less than none"):
+        checked(rubbing, gone)
+
+
 def test_encoders_of_motors_may_err_where_a_controller_reads_them() -> None:
     wrong = effect("joint_offset", "gripper0_right_elbow_wrist", offset=0.1)
     with pytest.raises(EffectError, match="its actuator is a motor"):

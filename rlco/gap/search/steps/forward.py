@@ -27,9 +27,8 @@ from rlco.physics.effects import AppliedEffect
 CLEAN = 1.1  # ratio to the typical mean square of a joint that needs no effect
 SCREENED_AGAIN = 24  # candidates of a screening under effects
 FITTABLE = 0.015  # share of the mean square that two steps must remove
-WORTH_BOUNDS = (
-    0.1  # as `judge.BETTER` if a parameter reached its bounds: all are in doubt
-)
+# As `judge.BETTER` if a parameter reached its bounds: all are in doubt.
+WORTH_BOUNDS = 0.1
 
 
 def shortlist(state: State) -> State:
@@ -56,7 +55,7 @@ def _worth_screening(state: State, at: Fit) -> list[Candidate]:
     sizes /= np.bincount(layout.channel[near])
     clean = CLEAN * min(1.0, float(np.median(sizes)))
     done = {layout.channels[i] for i in np.flatnonzero(sizes < clean)}
-    if setting.problem.noise_was_seen:
+    if setting.problem.noise_was_observed:
         # An encoder's offset may show more at another joint, and be small.
         done = set()
     found = [c for c in fresh if c.target not in done]
