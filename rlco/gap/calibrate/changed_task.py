@@ -9,6 +9,7 @@ the second. What no name explains there is not known in the second set either.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -16,6 +17,8 @@ from rlco.errors import DataError
 from rlco.gap.calibrate.changed import Changed
 from rlco.gap.compare.problem import Hypothesis, Integers, Problem, Verdict
 from rlco.gap.demos.conventions.check import check_conventions
+from rlco.gap.demos.replay.plants import Plants
+from rlco.gap.demos.replay.rollouts import Rollouts
 from rlco.gap.demos.replay.task_space import TaskSpaceProblem, task_at_rate
 from rlco.gap.logs.log import Array, Log
 from rlco.gap.search.comparison import seconds_of
@@ -58,18 +61,19 @@ def changed_task(
     """
     _check_same(before, after)
     domain = with_effects(nominal.domain, lacking.hypothesis.effects)
-    # Units or axes that change have changed: conventions are those of before.
-    conventions = check_conventions(nominal.task, before, domain=nominal.domain)
     task = nominal.task
+    # Units or axes that change have changed: conventions are those of before.
+    conventions = check_conventions(
+        task, before, domain=nominal.domain, rollouts=nominal.rollouts
+    )
     if task_at_rate(task, after).control_frequency != task.control_frequency:
         raise DataError(
             f"reference= has {task.control_frequency:g} rows per second, and data= has "
             "another rate; give two recordings of one rate."
         )
-    known = TaskSpaceProblem(task, nominal.log, domain=domain, threads=threads)
-    later = TaskSpaceProblem(
-        task, conventions.apply(after), domain=domain, threads=threads
-    )
+    rollouts = Rollouts(Plants(task, domain), threads)
+    compare = partial(TaskSpaceProblem, task, domain=domain, rollouts=rollouts)
+    known, later = compare(nominal.log), compare(conventions.apply(after))
     unknown = np.array(later.noise)
     # A log has channels of what moves in it; of another object nothing is known.
     mine, theirs = shared_channels(later, known)

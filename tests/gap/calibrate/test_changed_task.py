@@ -47,6 +47,7 @@ def size(problem: TaskSpaceProblem, noise: np.ndarray) -> float:
     return float(np.sqrt(np.mean(scaled[rows] ** 2)))
 
 
+@pytest.mark.slow
 def test_what_was_lacking_before_is_known_of_later_demonstrations(
     nominal: TaskSpaceProblem, before: Log
 ) -> None:

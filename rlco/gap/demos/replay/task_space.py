@@ -101,8 +101,8 @@ class TaskSpaceProblem(Problem):
         self.task = task_at_rate(make_task(task), log)
         self.domain, self.log = make_domain(domain), log
         self.channels: Channels = channels_of(self.task, log)
-        self._rollouts = rollouts or Rollouts(Plants(self.task, self.domain), threads)
-        self.plants = self._rollouts.plants
+        self.rollouts = rollouts or Rollouts(Plants(self.task, self.domain), threads)
+        self.plants = self.rollouts.plants
         self.model: mujoco.MjModel = self.plants.nominal.model
         self.tolerance_names: tuple[str, ...] = TOLERANCES
         self._period = 1.0 / self.task.control_frequency
@@ -114,7 +114,7 @@ class TaskSpaceProblem(Problem):
         timed = [(r.time, v) for r, v in zip(log.recordings, values, strict=True)]
         noise = measurement_noise(timed).deviation
         self._columns = values
-        self._tracker = Tracker(self._rollouts, observed, noise)
+        self._tracker = Tracker(self.rollouts, observed, noise)
         self.tracks = self._tracker.tracks(values, self._actions)
         steps = None if segment is None else max(2, round(segment / self._period))
         self.segments = [
@@ -278,7 +278,7 @@ class TaskSpaceProblem(Problem):
             for _, _, hypothesis in part:
                 plant = self.plants.plant(hypothesis)
                 jobs += [self._job(plant, s, tracks[s.recording]) for s in segments]
-            rollouts = batched(self._rollouts.run(jobs), len(segments))
+            rollouts = batched(self.rollouts.run(jobs), len(segments))
             for (row, weight, _), features in zip(part, rollouts, strict=True):
                 out[row] += weight * self._residual(observed, segments, features)
         return out
@@ -334,7 +334,7 @@ class TaskSpaceProblem(Problem):
         )
         sound = [features for features in found if features is not None]
         if sound:
-            state = self._rollouts.scene(np.concatenate(sound))
+            state = self.rollouts.scene(np.concatenate(sound))
             columns = list(self.channels.columns)
             simulated = report(self.task, self.domain, state)[:, columns]
             residual[rows] = self.channels.difference(observed[rows], simulated)
