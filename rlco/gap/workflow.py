@@ -6,7 +6,10 @@ import logging
 import time
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+
+import mujoco
 
 from rlco.errors import OutputExistsError
 from rlco.gap.calibrate.summary import Before, Summary
@@ -18,11 +21,11 @@ from rlco.gap.compare.comparisons import (
 )
 from rlco.gap.compare.problem import (
     Gap,
-    Hypothesis,
     NamedEffect,
     Problem,
     Verdict,
 )
+from rlco.gap.correct.combined import combined
 from rlco.gap.correct.corrected_files import write_corrected
 from rlco.gap.correct.servo_files import SERVO_FILES, write_servo
 from rlco.gap.diagnose.filmed import Filmed, filmed
@@ -38,7 +41,7 @@ from rlco.gap.make_problem import (
     make_problem,
 )
 from rlco.gap.model import LoadedModel, load_model
-from rlco.gap.reference import calibrates, prepare, search
+from rlco.gap.reference import calibrated_model, calibrates, prepare, search
 from rlco.gap.report.calibration import (
     calibration_json,
     effects_json,
@@ -121,6 +124,13 @@ class Finding:
             return ()
         return self.calibration.named(self.model.model)
 
+    @cached_property
+    def known(self) -> mujoco.MjModel:
+        """The model with what was known before the search, if anything was."""
+        if self.calibration is None:
+            return self.model.model
+        return calibrated_model(self.model, self.calibration.effects).model
+
     @property
     def gap(self) -> Gap:
         """The disagreement before and after."""
@@ -139,7 +149,7 @@ class Finding:
 
     def summary(self) -> list[str]:
         """Return the verdict in a few lines, a warning first."""
-        lines = verdict_lines(self.verdict, self.where, self.model.model)
+        lines = verdict_lines(self.verdict, self.where, self.known)
         lines += [f"  {line}" for line in comparison_lines(self.comparisons)]
         if self.doubtful is None:
             return lines
@@ -167,13 +177,15 @@ class Finding:
             raise OutputExistsError(folder)
         folder.mkdir(parents=True, exist_ok=True)
         rows = [motion.save(folder) for motion in self.motions]
-        content = report(self.verdict, self.where, self.model.model, rows)
+        content = report(self.verdict, self.where, self.known, rows)
         content |= compared_json(self.comparisons, self.model.model)
         content["doubtful"] = self.doubtful
         model = self.model.model
         if self.calibration is not None:
             content["calibration"] = calibration_json(self.calibration, model)
-            content |= effects_json(self.verdict.effects, self.beyond, model)
+            content |= effects_json(
+                self.verdict.effects, self.beyond, model, self.known
+            )
         if self.calibration is not None and self.before is not None:
             content["reference"] = reference_json(self.calibration, self.before)
         # First the file for programs, so that no later failure can lose it.
@@ -202,6 +214,7 @@ class Finding:
             self.before,
             self.beyond,
             film_of(self.model, self.filmed),
+            self.known,
         )
         write_text(folder / "report.html", page(source))
         return folder / "report.html"
@@ -210,8 +223,7 @@ class Finding:
         """Return the verdict with the calibration among its effects."""
         if self.calibration is None:
             return self.verdict
-        found = (*self.calibration.effects, *self.verdict.hypothesis.effects)
-        return replace(self.verdict, hypothesis=Hypothesis(found))
+        return combined(self.calibration.effects, self.verdict, self.model.model)
 
 
 def run_gap(

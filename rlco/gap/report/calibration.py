@@ -18,10 +18,21 @@ _SHOWN = 12  # numbers in the page's table
 
 
 def effects_json(
-    found: Sequence[NamedEffect], beyond: Sequence[NamedEffect], model: mujoco.MjModel
+    found: Sequence[NamedEffect],
+    beyond: Sequence[NamedEffect],
+    model: mujoco.MjModel,
+    known: mujoco.MjModel,
 ) -> dict[str, object]:
-    """Return ``effects`` of ``report.json``, which tells what a calibration found."""
-    rows = [effect_json(one, model) for one in (*found, *beyond)]
+    """Return ``effects`` of ``report.json``, which tells what a calibration found.
+
+    Args:
+        found: By the search.
+        beyond: By the calibration.
+        model: The model without the calibration.
+        known: The model with it.
+    """
+    rows = [effect_json(one, known) for one in found]
+    rows += [effect_json(one, model) for one in beyond]
     marks = [one.calibrated for one in (*found, *beyond)]
     return {
         "effects": [

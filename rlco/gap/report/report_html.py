@@ -58,6 +58,7 @@ class Page:
         before: What is known from recordings made before.
         beyond: What the calibration found beyond what is usual.
         film: The robot, measured and simulated; or why it is not to be seen.
+        known: The model with what was known before the search; None: `model`.
     """
 
     verdict: Verdict
@@ -73,6 +74,7 @@ class Page:
     before: Before | None = None
     beyond: Sequence[NamedEffect] = ()
     film: Film | str = ""
+    known: mujoco.MjModel | None = None
 
 
 def page(source: Page) -> str:
@@ -201,7 +203,8 @@ def _effects(source: Page) -> str:
             + html.table(["effect", "share of the held-out gap it would explain"], rows)
             + '<p class="quiet">Tried and rejected: none of these is the answer.</p>'
         )
-    rows = [_effect_row(finding, source.model) for finding in verdict.effects]
+    known = source.known or source.model
+    rows = [_effect_row(finding, known) for finding in verdict.effects]
     return (
         "<h2>What is missing</h2>\n"
         + html.table(["effect", "parameters", "other explanations"], rows)

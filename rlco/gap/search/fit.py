@@ -18,6 +18,7 @@ from scipy.optimize import lsq_linear
 from rlco.gap.compare.problem import Candidate, Problem
 from rlco.gap.logs.log import Array
 from rlco.physics.effects import EFFECTS, AppliedEffect, Parameter
+from rlco.physics.effects.friction import COULOMB_FRICTION
 
 # Whitened residuals of each list of effects, (lists, N).
 Whiten = Callable[[Sequence[tuple[AppliedEffect, ...]]], Array]
@@ -53,11 +54,18 @@ def library_of(problem: Problem, exclude: Collection[str] = ()) -> Library:
         problem: The robot and its log.
         exclude: Names of effects to leave out.
     """
-    library = {
+    library: dict[Candidate, tuple[Parameter, ...]] = {
         candidate: EFFECTS[candidate.name].parameters(problem.model, candidate.target)
         for candidate in problem.candidates()
         if candidate.name not in exclude
     }
+    if problem.noise_was_observed:
+        # What was calibrated may also have become less.
+        library |= {
+            candidate: (_may_fall(first), *others)
+            for candidate, (first, *others) in library.items()
+            if candidate.name == COULOMB_FRICTION.name
+        }
     for candidate, starts in problem.usual_sizes().items():
         if candidate in library:
             first, *others = library[candidate]
@@ -65,6 +73,13 @@ def library_of(problem: Problem, exclude: Collection[str] = ()) -> Library:
             if near:
                 library[candidate] = (replace(first, starts=near), *others)
     return library
+
+
+def _may_fall(friction: Parameter) -> Parameter:
+    """Return a friction that may also be less than what a model has."""
+    present = 0.0 if friction.present is None else friction.present.value
+    starts = (*friction.starts, -0.4 * present)
+    return replace(friction, low=-0.95 * present, starts=starts)
 
 
 def with_values(
