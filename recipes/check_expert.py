@@ -56,7 +56,7 @@ def main(config: Config) -> None:
     from rlco.physics.tasks.expert_success import expert_success
     from rlco.physics.tasks.make_task import make_task
     from rlco.physics.tasks.named_task import check_domains
-    from rlco.physics.tasks.variations import check_variation_of, check_variation_seen
+    from rlco.physics.tasks.variations import check_variation_images, check_variation_of
 
     load_code(config.effects_code)
     if not config.domains:
@@ -65,7 +65,7 @@ def main(config: Config) -> None:
     domains = check_domains(config.task, config.domains)
     for variation in config.variations:
         check_variation_of(task, variation)
-        check_variation_seen(variation, None)
+        check_variation_images(variation, None)
     places = [(domain, None) for domain in domains]
     places += [(domains[0], variation) for variation in config.variations]
     failed = False

@@ -34,8 +34,8 @@ from rlco.physics.spec.task import Task
 from rlco.physics.tasks.make_task import make_task
 from rlco.physics.tasks.named_task import check_robosuite_domain
 from rlco.physics.tasks.variations import (
+    check_variation_images,
     check_variation_of,
-    check_variation_seen,
     domain_in,
 )
 from rlco.physics.tasks.views import check_cameras
@@ -187,7 +187,7 @@ def make_env(
         )
     task = make_task(task)
     check_variation_of(task, variation)
-    check_variation_seen(variation, image_size)
+    check_variation_images(variation, image_size)
     domain = domain_in(domain, variation)
     stepper: Stepper
     if backend == "native":

@@ -19,7 +19,7 @@ from rlco.gap.calibrate.fit import Calibration, calibrate, fitted_effects
 from rlco.gap.calibrate.numbers import Calibratable
 from rlco.gap.calibrate.remaining import SPREAD, Remaining
 from rlco.gap.calibrate.residual_model import residual_model
-from rlco.gap.calibrate.summary import Before, Summary, sizes
+from rlco.gap.calibrate.summary import Before, Summary, sizes, sizes_of
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.comparisons import Compared
 from rlco.gap.compare.noise import position_noise
@@ -212,7 +212,7 @@ def changed_problem(
     unknown = np.maximum(unknown, np.maximum(later.noise, known.noise))
     lacked = usual[channel] * lacking.correction
     problem = Changed(later, lacked, unknown, usual[channel] * weight)
-    size = _sizes(problem, Hypothesis())
+    size = sizes_of(problem, Hypothesis())
     seconds = sum(one.seconds for one in before.recordings)
     told = Before(
         lacking.explained, unknown, size, size, len(before.recordings), seconds
@@ -234,7 +234,7 @@ def changed_in_task(
     What the simulator lacks in those before is named by a search, and taken as known.
     """
     # robosuite, which logs of joints need not wait for.
-    from rlco.gap.calibrate.changed_task import changed_task, shared_channels
+    from rlco.gap.calibrate.changed_task import changed_task
 
     def on_step(said: str, part: float) -> None:
         say(f"before: {said}", 0.0)
@@ -244,30 +244,7 @@ def changed_in_task(
     if lacking.instability is not None or not lacking.complete:
         return Prepared(task, stopped=not lacking.complete)
     found = changed_task(task, before, after, lacking, threads)
-    layout, none = found.problem.layout, Hypothesis()
-    mine, theirs = shared_channels(found.problem, task)
-    difference = _sizes(found.problem, none)[mine]
-    seconds = sum(one.seconds for one in before.recordings)
-    return Prepared(
-        found.problem,
-        Summary(
-            None,
-            lacking.hypothesis.effects,
-            tuple(layout.channels[i] for i in mine),
-            tuple(layout.units[i] for i in mine),
-            _sizes(task, none)[theirs],
-            _sizes(found.known, none)[theirs],
-            lacking.effects,
-        ),
-        Before(
-            np.zeros(len(mine)),
-            found.problem.noise[mine],
-            difference,
-            difference,
-            len(before.recordings),
-            seconds,
-        ),
-    )
+    return Prepared(found.problem, found.summary, found.before)
 
 
 def search(
@@ -297,7 +274,8 @@ def search(
     if verdict.verdict in _QUIET and verdict.complete:
         # Shares of a difference within what is not known would mean nothing.
         verdict = replace(verdict, verdict=NO_CHANGE, closest=())
-    changed = _sizes(prepared.problem, verdict.hypothesis)
+    verdict = replace(verdict, since_reference=True)
+    changed = sizes_of(prepared.problem, verdict.hypothesis)
     if prepared.summary.calibration is None:
         names = prepared.problem.layout.channels
         changed = changed[[names.index(name) for name in prepared.summary.channels]]
@@ -386,7 +364,7 @@ def _summary(
     effects: tuple[AppliedEffect, ...],
 ) -> Summary:
     layout = known.layout
-    before, after = (_sizes(one, Hypothesis()) for one in (known, calibrated))
+    before, after = (sizes_of(one, Hypothesis()) for one in (known, calibrated))
     return Summary(calibration, effects, layout.channels, layout.units, before, after)
 
 
@@ -407,12 +385,6 @@ def _check_same(known: Calibratable, before: Log, after: Log) -> None:
             f"reference= holds {lacking or 'positions'}, and data= does not; give two "
             "recordings of one kind."
         )
-
-
-def _sizes(problem: Problem, hypothesis: Hypothesis) -> Array:
-    layout = problem.layout
-    residual = problem.residuals([hypothesis])[0]
-    return sizes(residual, layout.channel, len(layout.channels))
 
 
 def _optimism(

@@ -15,6 +15,7 @@ import numpy as np
 
 from rlco.errors import DataError
 from rlco.gap.calibrate.changed import Changed
+from rlco.gap.calibrate.summary import Before, Summary, sizes_of
 from rlco.gap.compare.problem import Hypothesis, Integers, Problem, Verdict
 from rlco.gap.demos.conventions.check import check_conventions
 from rlco.gap.demos.replay.plants import Plants
@@ -31,13 +32,15 @@ class ChangedTask:
     """Two sets of demonstrations, compared with what the first one tells.
 
     Attributes:
-        known: The first set, and the simulator with what it lacked there.
-        problem: The second set and the same simulator; the noise is the standard
-            deviation of what is not known.
+        problem: The second set, and the simulator with what it lacked in the first; the
+            noise is the standard deviation of what is not known.
+        summary: What the simulator lacked, and what the first set disagrees by.
+        before: What the first set tells of the second.
     """
 
-    known: TaskSpaceProblem
     problem: Changed
+    summary: Summary
+    before: Before
 
 
 def changed_task(
@@ -76,14 +79,34 @@ def changed_task(
     known, later = compare(nominal.log), compare(conventions.apply(after))
     unknown = np.array(later.noise)
     # A log has channels of what moves in it; of another object nothing is known.
-    mine, theirs = shared_channels(later, known)
+    mine, theirs = _shared_channels(later, known)
     before_it = np.maximum(_usual_size(known), known.noise)[theirs]
     unknown[mine] = np.maximum(unknown[mine], before_it)
-    nothing: Array = np.zeros(len(later.layout.channel))
-    return ChangedTask(known, Changed(later, nothing, unknown))
+    problem = Changed(later, np.zeros(len(later.layout.channel)), unknown)
+    layout, nothing = later.layout, Hypothesis()
+    summary = Summary(
+        None,
+        lacking.hypothesis.effects,
+        tuple(layout.channels[i] for i in mine),
+        tuple(layout.units[i] for i in mine),
+        sizes_of(nominal, nothing)[theirs],
+        sizes_of(known, nothing)[theirs],
+        lacking.effects,
+    )
+    difference = sizes_of(problem, nothing)[mine]
+    seconds = sum(one.seconds for one in before.recordings)
+    of_before = Before(
+        np.zeros(len(mine)),
+        unknown[mine],
+        difference,
+        difference,
+        len(before.recordings),
+        seconds,
+    )
+    return ChangedTask(problem, summary, of_before)
 
 
-def shared_channels(one: Problem, other: Problem) -> tuple[Integers, Integers]:
+def _shared_channels(one: Problem, other: Problem) -> tuple[Integers, Integers]:
     """Return the indices of the channels that both have, in either, (shared,)."""
     names = [name for name in one.layout.channels if name in other.layout.channels]
     pair = [[p.layout.channels.index(name) for name in names] for p in (one, other)]

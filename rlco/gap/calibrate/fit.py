@@ -255,10 +255,6 @@ class _Fit:
         self.cost = float(np.mean(self.residual**2))
         self.jacobian = np.zeros((len(self.residual), len(self.amounts)))
 
-    def on(self, recordings: tuple[int, ...]) -> _Fit:
-        """Return the same fit of other recordings."""
-        return _Fit(self.problem, self.numbers, self.basis, recordings, self.amounts)
-
     def rows(self, amounts: Sequence[Array]) -> Array:
         hypotheses = [
             Hypothesis(effects_of(self.problem.model, self.numbers, self.basis @ one))

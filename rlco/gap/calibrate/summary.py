@@ -8,7 +8,13 @@ import mujoco
 import numpy as np
 
 from rlco.gap.calibrate.fit import Calibration
-from rlco.gap.compare.problem import Integers, NamedEffect, Value
+from rlco.gap.compare.problem import (
+    Hypothesis,
+    Integers,
+    NamedEffect,
+    Problem,
+    Value,
+)
 from rlco.gap.logs.log import Array
 from rlco.gap.search.intervals import NORMAL
 from rlco.physics.effects import EFFECTS, AppliedEffect
@@ -131,6 +137,13 @@ class Before:
     changed: Array
     recordings: int
     seconds: float
+
+
+def sizes_of(problem: Problem, hypothesis: Hypothesis) -> Array:
+    """Return the root mean square of a problem's residual in each channel."""
+    layout = problem.layout
+    residual = problem.residuals([hypothesis])[0]
+    return sizes(residual, layout.channel, len(layout.channels))
 
 
 def sizes(residual: Array, channel: Integers, channels: int) -> Array:

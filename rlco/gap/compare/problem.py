@@ -372,6 +372,8 @@ class Verdict:
         sample: Values of all parameters of `effects`, in their order: parameter sets
             that are about as believable as the fitted one, (sets, parameters). None
             where nothing is named, or a comparison has no joint intervals.
+        since_reference: Whether it is of what changed since earlier recordings, and the
+            noise is what these leave unknown.
     """
 
     complete: bool
@@ -390,3 +392,4 @@ class Verdict:
     remarks: tuple[str, ...] = ()
     free_form: FreeForm | None = None
     sample: Array | None = None
+    since_reference: bool = False

@@ -141,7 +141,10 @@ def _document(heading: str, sections: Iterable[str]) -> str:
 
 
 def _kicker(verdict: Verdict) -> str:
-    words = escape(PLAIN_VERDICTS.get(verdict.verdict, in_words(verdict.verdict)))
+    plain = PLAIN_VERDICTS.get(verdict.verdict, in_words(verdict.verdict))
+    if verdict.since_reference and verdict.verdict == "named":
+        plain = "a change found"
+    words = escape(plain)
     return f'<p class="kicker">rlco · find_gap · {words}</p>'
 
 
@@ -167,7 +170,8 @@ def _header(source: Page) -> str:
     cards = [("before", amount(before, gap.unit))]
     if verdict.effects:
         cards.append(("after", amount(after, gap.unit)))
-    cards.append(("noise floor", amount(gap.noise_floor, gap.unit)))
+    floor = "not known" if verdict.since_reference else "noise floor"
+    cards.append((floor, amount(gap.noise_floor, gap.unit)))
     boxes = "".join(
         f'<div class="card"><span class="quiet">{escape(name)}</span>'
         f"<strong>{escape(size)}</strong></div>"
@@ -205,10 +209,13 @@ def _effects(source: Page) -> str:
         )
     known = source.known or source.model
     rows = [_effect_row(finding, known) for finding in verdict.effects]
+    what, whose = "is missing", "model's value"
+    if verdict.since_reference:
+        what, whose = "changed", "value before"
     return (
-        "<h2>What is missing</h2>\n"
+        f"<h2>What {what}</h2>\n"
         + html.table(["effect", "parameters", "other explanations"], rows)
-        + '<p class="quiet">An arrow leads from the model\'s value to the identified '
+        + f'<p class="quiet">An arrow leads from the {whose} to the identified '
         "one; below each value is its 90 % interval. Other explanations were fitted in "
         "place of the effect: these recordings cannot distinguish those that are as "
         "good; those that are ruled out leave a larger residual in held-out "

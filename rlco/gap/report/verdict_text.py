@@ -149,7 +149,8 @@ def headline(verdict: Verdict, where: Where | None = None) -> str:
     if verdict.effects:
         effects = listed([_missing(finding) for finding in verdict.effects])
         better = "" if verdict.complete else ", as far as the search got"
-        return f"{_first(verdict)}Missing from the model: {effects}{better}."
+        what = "Changed" if verdict.since_reference else "Missing from the model"
+        return f"{_first(verdict)}{what}: {effects}{better}."
     if not verdict.complete:
         return f"The search was stopped before naming anything: {residual} remain{at}."
     if verdict.verdict == "no_gap":
@@ -250,10 +251,12 @@ def certainty(verdict: Verdict) -> list[str]:
             amount(size, gap.unit) for size in (gap.before_heldout, gap.after_heldout)
         )
         those = "it" if len(verdict.effects) == 1 else "them"
+        floor = "the measurement's own noise is"
+        if verdict.since_reference:
+            floor = "the recordings before leave unknown"
         lines.append(
             f"With {those}, the disagreement in held-out recordings falls "
-            f"from {before} to {after}; the measurement's own noise is "
-            f"{amount(gap.noise_floor, gap.unit)}."
+            f"from {before} to {after}; {floor} {amount(gap.noise_floor, gap.unit)}."
         )
     for finding in verdict.effects:
         others = sorted(finding.evidence.items(), key=lambda item: item[1])

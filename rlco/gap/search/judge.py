@@ -77,14 +77,16 @@ def gain(state: State, one: Scored, other: Scored) -> float:
         setting.heldout_squares(rows.everything) for rows in (state.none, other, one)
     )
     plain = before - after >= setting.problem.inexact * (none - before)
-    return float(np.max(np.where(plain, 1.0 - np.sqrt(after / before), 0.0)))
+    # A channel without any residual gains nothing.
+    ratio = np.divide(after, before, out=np.ones_like(after), where=before > 0.0)
+    return float(np.max(np.where(plain, 1.0 - np.sqrt(ratio), 0.0)))
 
 
 def is_worth_it(state: State, one: Scored, other: Scored) -> bool:
     """Return whether a set of effects is worth more than one with fewer.
 
-    What a model lacks is not known of motion that it was not seen in. A few seconds of
-    such motion do not decide by themselves, unless the effect explains much.
+    What a model lacks is not known of motion that was not recorded before. A few
+    seconds of such motion do not decide by themselves, unless the effect explains much.
     """
     gained, setting = gain(state, one, other), state.setting
     if not setting.problem.noise_was_observed:

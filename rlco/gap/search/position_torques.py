@@ -2,9 +2,8 @@
 
 Each shape is a torque along the measured path of one joint, so what it does to the
 positions follows from `JointResponse` without a rollout; in a log of torques it is the
-change itself. Beside it the fit may use a
-constant, a slope, friction and damping: what the common effects would explain does not
-count.
+change itself. Beside it the fit may use a constant, a slope, friction and damping: what
+the common effects would explain does not count.
 """
 
 from __future__ import annotations

@@ -29,8 +29,8 @@ from rlco.physics.spec.streams import Stream
 from rlco.physics.spec.task import SceneState, Task
 from rlco.physics.tasks.make_task import make_task
 from rlco.physics.tasks.variations import (
+    check_variation_images,
     check_variation_of,
-    check_variation_seen,
     domain_in,
 )
 from rlco.physics.tasks.views import Views, check_cameras
@@ -159,7 +159,7 @@ class TaskEnv(gymnasium.Env[Observation, NDArray[np.float32]]):
         load_code(effects_code)
         self._task = make_task(task)
         check_variation_of(self._task, variation)
-        check_variation_seen(variation, image_size if images else None)
+        check_variation_images(variation, image_size if images else None)
         self._domain = domain_in(with_look(make_domain(domain), look), variation)
         self.task = self._task.name
         self.instructions = self._task.instructions

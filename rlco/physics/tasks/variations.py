@@ -80,7 +80,7 @@ def check_variation_of(task: Task, variation: str | None) -> None:
         raise UnknownNameError("variation", variation, task.variations or ("none",))
 
 
-def check_variation_seen(variation: str | None, image_size: object) -> None:
+def check_variation_images(variation: str | None, image_size: object) -> None:
     """Refuse a variation of images alone where none are drawn.
 
     Args:

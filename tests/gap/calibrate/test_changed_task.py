@@ -9,7 +9,7 @@ import pytest
 from task_recordings import hidden_friction, hidden_mass, record, rollouts
 
 from rlco.errors import DataError
-from rlco.gap.calibrate.changed_task import changed_task
+from rlco.gap.calibrate.changed_task import ChangedTask, changed_task
 from rlco.gap.compare.problem import Hypothesis, Verdict
 from rlco.gap.demos.replay.task_space import TaskSpaceProblem
 from rlco.gap.logs.log import Log
@@ -38,6 +38,12 @@ def lacks(nominal: TaskSpaceProblem, *effects: AppliedEffect) -> Verdict:
     return replace(nothing_searched(nominal, 0.0), hypothesis=Hypothesis(effects))
 
 
+def since(nominal: TaskSpaceProblem, before: Log, later: Log) -> ChangedTask:
+    """Return what changed where the mass of before is known."""
+    mass = AppliedEffect("object_mass", CUBE, {"factor": 4.0})
+    return changed_task(nominal, before, later, lacks(nominal, mass), threads=1)
+
+
 def size(problem: TaskSpaceProblem, noise: np.ndarray) -> float:
     """Return how far the cube is from where it should be, in units of a noise."""
     layout = problem.layout
@@ -52,8 +58,7 @@ def test_what_was_lacking_before_is_known_of_later_demonstrations(
     nominal: TaskSpaceProblem, before: Log
 ) -> None:
     later = record(hidden_mass(4.0), seed=2)[0]
-    mass = AppliedEffect("object_mass", CUBE, {"factor": 4.0})
-    found = changed_task(nominal, before, later, lacks(nominal, mass), threads=1)
+    found = since(nominal, before, later)
     without = changed_task(nominal, before, later, lacks(nominal), threads=1)
     noise = found.problem.base.noise
     # Sensors and contacts alone; without it the cube goes too far.
@@ -62,7 +67,9 @@ def test_what_was_lacking_before_is_known_of_later_demonstrations(
     # And what no name explains before is not known later.
     row = without.problem.layout.channels.index("red_cube.x")
     assert without.problem.noise[row] > 1.2 * found.problem.noise[row]
-    assert size(without.known, without.problem.noise) < 1.3
+    channel = without.summary.channels.index("red_cube.x")
+    lacked = without.summary.calibrated[channel]
+    assert lacked < 1.3 * without.before.unknown[channel]
 
 
 @pytest.mark.slow
@@ -90,9 +97,7 @@ def test_what_changed_is_named_and_what_was_there_before_is_not(before: Log) -> 
 def test_nothing_is_named_where_nothing_changed(
     nominal: TaskSpaceProblem, before: Log
 ) -> None:
-    later = record(hidden_mass(4.0), seed=4)[0]
-    mass = AppliedEffect("object_mass", CUBE, {"factor": 4.0})
-    found = changed_task(nominal, before, later, lacks(nominal, mass), threads=1)
+    found = since(nominal, before, record(hidden_mass(4.0), seed=4)[0])
     assert not find_gap(found.problem, exclude=OTHERS).effects
 
 
@@ -119,3 +124,30 @@ def test_demonstrations_of_another_kind_are_refused(
     )
     with pytest.raises(DataError, match="20 rows per second, and data= has another"):
         changed_task(nominal, before, slow, lacks(nominal))
+
+
+def test_an_axis_that_changed_is_not_turned_back(
+    nominal: TaskSpaceProblem, before: Log
+) -> None:
+    def mirrored(log: Log) -> Log:
+        flip = np.array([1.0, -1.0, 1.0, 1.0, 1.0, 1.0, 1.0])
+        rows = [
+            replace(r, command=np.asarray(r.command) * flip) for r in log.recordings
+        ]
+        return replace(log, recordings=tuple(rows))
+
+    later = mirrored(before)
+    found = changed_task(nominal, before, later, lacks(nominal), threads=1)
+    for one, other in zip(found.problem.log.recordings, later.recordings, strict=True):
+        np.testing.assert_array_equal(one.command, other.command)
+
+
+def test_an_interruption_before_is_nothing_searched(before: Log) -> None:
+    def stop(said: str, part: float) -> None:
+        raise KeyboardInterrupt
+
+    loaded = load_model("robosuite:push_cube")
+    prepared = prepare(loaded, before, before, None, 1, stop, exclude=OTHERS)
+    verdict, _ = search(prepared, exclude=OTHERS)
+    assert not verdict.complete
+    assert str(verdict.unexplained["note"]).startswith("Nothing was searched")

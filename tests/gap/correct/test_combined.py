@@ -84,7 +84,10 @@ def test_a_friction_that_fell_is_named_and_written(tmp_path: Path) -> None:
     before = finding.known.joint("elbow").frictionloss[0]
     assert before == pytest.approx(0.06, rel=0.3)
     assert any(f"frictionloss {before:.4f} →" in line for line in finding.summary())
-    finding.write(tmp_path / "report")
+    assert finding.summary()[0].startswith("Changed: Coulomb friction")
+    page = finding.write(tmp_path / "report").read_text("utf-8")
+    assert "What changed" in page
+    assert f"{before:.4f} →" in page
     listed = read_effects(tmp_path / "report" / "effects.yaml").effects
     (total,) = (
         one.parameters["frictionloss"]

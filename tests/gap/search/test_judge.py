@@ -55,7 +55,7 @@ def quiet() -> State:
     return start(arm_problem(recordings=3, seconds=4.0))
 
 
-def seen(state: State, inexact: float = 0.0) -> State:
+def observed_before(state: State, inexact: float = 0.0) -> State:
     problem = copy(state.setting.problem)
     problem.noise_was_observed, problem.inexact = True, inexact
     return replace(state, setting=replace(state.setting, problem=problem))
@@ -67,14 +67,15 @@ def test_where_the_noise_was_observed_the_joint_that_gains_most_counts(
     none, one = with_errors(quiet, 1.0, 1.0), with_errors(quiet, 1.0, 0.9)
     whole = 1.0 - np.sqrt((1.0 + 0.81) / 2.0)
     assert gain(quiet, one, none) == pytest.approx(whole)
-    assert gain(seen(quiet), one, none) == pytest.approx(0.1)
+    assert gain(observed_before(quiet), one, none) == pytest.approx(0.1)
 
 
 def test_what_a_comparison_may_get_wrong_of_one_effect_is_no_second(
     quiet: State,
 ) -> None:
     state = replace(
-        seen(quiet, inexact=0.02), scores={frozenset(): with_errors(quiet, 20.0, 1.0)}
+        observed_before(quiet, inexact=0.02),
+        scores={frozenset(): with_errors(quiet, 20.0, 1.0)},
     )
     first = with_errors(state, 2.6, 1.0)  # 400 - 6.76 explained: 2 % are 7.9
     assert gain(state, with_errors(state, 1.5, 1.0), first) == 0.0
@@ -92,7 +93,7 @@ def in_two_seconds(state: State, size: float) -> Scored:
 
 
 def test_a_few_seconds_decide_only_where_an_effect_explains_much(quiet: State) -> None:
-    state = seen(quiet)
+    state = observed_before(quiet)
     little, much = in_two_seconds(quiet, 1.3), in_two_seconds(quiet, 10.0)
     other = in_two_seconds(quiet, 1.0)
     assert state.setting.better(other, little)
@@ -113,7 +114,7 @@ def test_what_helps_no_joint_in_held_out_recordings_is_not_named(quiet: State) -
         )
         none = {frozenset(): with_errors(quiet, 1.0, 1.0)}
         best = replace(quiet.none, fit=fit, everything=everything)
-        return kind(replace(seen(quiet), scores=none, best=best)) == "named"
+        return kind(replace(observed_before(quiet), scores=none, best=best)) == "named"
 
     assert named(0.97)
     assert not named(0.995)

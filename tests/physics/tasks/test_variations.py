@@ -187,12 +187,10 @@ def test_lights_change_images_alone(task: Task) -> None:
 def test_a_warm_lamp_makes_images_warmer_and_moves_nothing() -> None:
     make = partial(make_env, image_size=(64, 64), renderer="raster", seed=3)
     rows = [make("push_cube", variation=v).reset() for v in (None, "lights")]
-    seen, unseen = (row["observation"] for row in rows)
+    usual, lit = (row["observation"] for row in rows)
     for key in ("state", "environment_state"):
-        assert (seen[key] == unseen[key]).all()
-    before, after = (
-        row["image"].double().mean(dim=(0, 2, 3)) for row in (seen, unseen)
-    )
+        assert (usual[key] == lit[key]).all()
+    before, after = (row["image"].double().mean(dim=(0, 2, 3)) for row in (usual, lit))
     # Of red and blue light: a lamp that has half as much blue as red.
     assert after[2] / after[0] < 0.8 * before[2] / before[0]
 

@@ -144,8 +144,8 @@ def in_turns(problem: ArmRollouts, late: Sequence[Array]) -> float:
     """Return how far commands take effect in the turns of a slow controller, 0 to 1.
 
     The largest power of the times at one frequency, mean of the recordings: 1 if all
-    take effect at multiples of a period that is longer than that of the rows, and one
-    over their number if they do at random.
+    take effect at multiples of a period that is longer than that of the rows, and near
+    0 if they do at random.
 
     Args:
         problem: The robot and its log.
