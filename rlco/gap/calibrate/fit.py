@@ -39,9 +39,7 @@ _ENOUGH = 0.01  # part of the cost that a step must save for another one
 _NEARLY = 0.1  # the same of a stage before the last
 _SHORT = 0.4  # length of first rollouts [s]
 _DIFFERENCE = 0.05  # finite difference, in standard deviations of the prior
-# Steps that are tried: a damping, in priors, that holds each number where it is, and
-# parts of the step with it.
-_TRIED = ((0.0, (1.0, 0.4, 0.15)), (9.0, (1.0, 0.4)), (99.0, (1.0,)))
+_SHORTER = (1.0, 0.4, 0.15)  # parts of a step that are tried
 _PART = 0.1  # of a channel's mean square that a second of it has at the least
 _FIRST = 20.0  # seconds of recordings that the first steps fit
 # Root mean square, in noise, below which a combination of link numbers is left out.
@@ -280,12 +278,10 @@ class _Fit:
         )
         goal = np.concatenate([-weight * self.residual, -self.amounts])
         _, triangle = np.linalg.qr(np.column_stack([rows, goal]))
-        tried = [
-            self.amounts + part * whole
-            for damping, parts in _TRIED
-            for whole in [self._damped(triangle, damping)]
-            for part in parts
-        ]
+        low = np.minimum(self.low - self.amounts, -1e-9)
+        most = np.full(len(low), np.inf)
+        whole = lsq_linear(triangle[:, :-1], triangle[:, -1], (low, most)).x
+        tried = [self.amounts + part * whole for part in _SHORTER]
         residuals = self.rows(tried)
         totals = np.sum((weight * residuals) ** 2, axis=1)
         totals += [one @ one for one in tried]
@@ -299,16 +295,6 @@ class _Fit:
         self.amounts, self.residual = tried[best], residuals[best]
         self.cost = float(np.mean(self.residual**2))
         return 1.0 - float(totals[best]) / before
-
-    def _damped(self, triangle: Array, damping: float) -> Array:
-        """Return the step of least squares, within bounds (Levenberg, Marquardt)."""
-        low = np.minimum(self.low - self.amounts, -1e-9)
-        most = np.full(len(low), np.inf)
-        matrix, goal = triangle[:, :-1], triangle[:, -1]
-        if damping > 0.0:
-            matrix = np.concatenate([matrix, np.sqrt(damping) * np.eye(len(low))])
-            goal = np.concatenate([goal, np.zeros(len(low))])
-        return np.asarray(lsq_linear(matrix, goal, (low, most)).x)
 
     def weights(self) -> Array:
         """Return one over the noise or the channel's residual, where larger, (N,)."""
