@@ -7,7 +7,7 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 import pytest
-from hidden_arms import TURNTABLES, record
+from hidden_arms import TURNTABLES, TWO_LINKS, record
 from recorded_torques import XML, record_torques, wrong_everywhere
 
 from rlco.gap.calibrate.fit import Calibration, calibrate
@@ -111,3 +111,22 @@ def test_what_a_servo_damps_is_told_from_the_joint_by_its_limit() -> None:
     assert factor == pytest.approx(0.75, rel=0.02)
     # A quarter of the servo's would be 0.5.
     assert abs(found(fitted, "viscous_damping", "shoulder", "damping")) < 0.02
+
+
+def test_an_arm_at_its_limits_is_fitted_along_short_rollouts_first() -> None:
+    limited = TWO_LINKS.replace(
+        'kp="40" kv="2"', 'kp="400" kv="20" forcerange="-1.2 1.2"'
+    )
+
+    def wrong(model: mujoco.MjModel) -> None:
+        model.actuator_gainprm[0, 0] *= 1.2
+        model.actuator_biasprm[0, 1:3] *= 1.2, 0.75
+        model.body_mass[1:] *= 1.15, 0.9
+        model.body_inertia[1] *= 1.2
+
+    log = record(wrong, xml=limited, episodes=3)
+    spec = mujoco.MjSpec.from_string(limited)
+    fitted = calibrate(ArmRollouts(spec, log, np.full(2, 4e-4), threads=1))
+    assert fitted.cost_before > 1000.0
+    # 2.6; along whole recordings alone, steps end at 44.
+    assert fitted.cost < 5.0
