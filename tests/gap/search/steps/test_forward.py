@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from small_problems import Interruptible, arm_problem
 
@@ -44,6 +46,28 @@ def test_screening_simulates_each_candidate_of_the_list(
     assert {one.candidate for one in screened.screenings} == set(listed.candidates)
     assert screened.visible
     assert not state.screenings  # what was given is as it was
+
+
+def test_a_joint_that_is_explained_stays_listed_only_where_the_noise_was_observed(
+    state: State,
+) -> None:
+    setting = state.setting
+    near = np.isin(setting.problem.layout.recording, setting.train)
+    shoulder = setting.problem.layout.channel[near] == 0
+    left = np.where(shoulder, 10.0, 1.0)  # in units of the noise
+    best = replace(state.best.fit, effects=(DAMPING,), residual=left)
+    explained = replace(state, best=replace(state.best, fit=best))
+    problem = copy(setting.problem)
+    problem.noise_was_observed = True
+    observed = replace(explained, setting=replace(setting, problem=problem))
+
+    def listed(at: State) -> set[str | None]:
+        found = shortlist(at).round
+        assert found is not None
+        return {one.target for one in found.candidates}
+
+    assert listed(explained) == {"shoulder"}
+    assert listed(observed) == {"shoulder", "elbow"}
 
 
 def test_a_forward_step_fits_and_names_nothing_yet(screened: State) -> None:
