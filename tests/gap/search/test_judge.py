@@ -84,6 +84,13 @@ def test_what_a_comparison_may_get_wrong_of_one_effect_is_no_second(
     assert gain(state, second, first) == pytest.approx(0.05)
 
 
+def test_a_joint_without_any_residual_gains_nothing(quiet: State) -> None:
+    state = observed_before(quiet)
+    exact, other = with_errors(quiet, 0.0, 1.0), with_errors(quiet, 0.0, 0.9)
+    assert gain(state, other, exact) == pytest.approx(0.1)
+    assert gain(state, exact, exact) == 0.0
+
+
 def in_two_seconds(state: State, size: float) -> Scored:
     """Return a fit that leaves so much in two held-out seconds, and noise elsewhere."""
     blocks = state.setting.blocks
