@@ -27,6 +27,7 @@ from rlco.gap.demos.replay.plants import Plants
 from rlco.gap.demos.replay.rollouts import Job, Rollouts, Start
 from rlco.gap.demos.replay.task_space import TaskSpaceProblem
 from rlco.gap.logs.log import Log
+from rlco.gap.search.fit import library_of
 from rlco.physics.effects import AppliedEffect
 from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.spec.domain import SIM, STAND_IN, Domain
@@ -298,6 +299,34 @@ def test_only_what_can_show_is_a_candidate() -> None:
     assert Candidate("joint_offset", "robot0_joint4") in found
     assert not [c for c in found if c.target and "finger" in c.target]
     assert not [c for c in found if c.name in ("backlash", "velocity_limit")]
+
+
+def test_a_search_starts_from_damping_that_moves_the_tool_at_every_joint() -> None:
+    # The controller makes up for as much as the model has, 0.1 N m s/rad: of the first
+    # six joints, that moves the tool by 0.04 to 0.4 of the noise.
+    problem, library = plain(), library_of(plain())
+    joints = TASK.robot.model_joints
+    starts = [
+        library[Candidate("viscous_damping", joint)][0].starts for joint in joints
+    ]
+    none, *damped = problem.residuals(
+        [
+            Hypothesis(),
+            *(
+                with_effect("viscous_damping", joint, damping=max(values))
+                for joint, values in zip(joints, starts, strict=True)
+            ),
+        ]
+    )
+    channel = problem.layout.channel
+    squares = (np.array(damped) - none) ** 2 / problem.noise[channel] ** 2
+    names = problem.channels.names
+    tool = [i for i, name in enumerate(names) if name.startswith("tool.")]
+    moved = [
+        [float(np.sqrt(row[channel == i].mean())) for i in tool] for row in squares
+    ]
+    # 1.06 at the third, about whose axis the controller holds the elbow.
+    assert min(max(row) for row in moved) > 0.8
 
 
 def test_residuals_of_some_recordings_are_those_of_all() -> None:
