@@ -47,6 +47,15 @@ def test_scenes_depend_neither_on_how_many_follow_nor_on_what_is_stepped_beside(
     assert not torch.equal(other[ENVIRONMENT_STATE], few[ENVIRONMENT_STATE])
 
 
+def test_looks_follow_the_seed() -> None:
+    one, other = (
+        labelled_scenes(TASK, 1, seed=s, image_size=SIZE, num_envs=1)[IMAGE].int()
+        for s in (5, 6)
+    )
+    # In the same look, only the arm and the cubes are elsewhere: 13 % of the pixels.
+    assert ((one - other).abs().amax(dim=1) > 5).float().mean() > 0.9
+
+
 def test_labels_know_no_errors_of_sensors() -> None:
     sim = make_domain("sim")
     wrong = Sensors(tool_offset=0.05, gripper_offset=0.01)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -14,10 +16,12 @@ from rlco.losses import CoTrainingLoss, ImitationLoss
 from rlco.physics.tasks.push_cube import TASK
 from rlco.policies import GaussianPolicy
 from rlco.policies.nets.positions import PositionHead
+from rlco.training.options.stage_one_options import StageOneOptions
 from rlco.training.pretraining import (
     PositionTerm,
     position_errors,
     pretrain,
+    pretrained_head,
     tool_positions,
 )
 
@@ -110,6 +114,48 @@ def test_the_term_of_simulated_rows_moves_the_encoder_and_reads_an_image_once() 
         assert id(parameter) in weights
         assert parameter.grad is not None
         assert float(parameter.grad.abs().sum()) > 0
+
+
+@dataclass
+class Folder:
+    """What pretraining needs of a run."""
+
+    path: Path
+
+
+def scenes_drawn(
+    seed: int, path: Path, monkeypatch: pytest.MonkeyPatch
+) -> list[TensorDict]:
+    """Return the scenes that a run with a seed trains on, and is measured on."""
+    drawn: list[TensorDict] = []
+
+    def draw(task: object, count: int, *, seed: int, **_: object) -> TensorDict:
+        torch.manual_seed(seed)
+        drawn.append(squares(count))
+        return drawn[-1]
+
+    monkeypatch.setattr("rlco.data.labelled_scenes.labelled_scenes", draw)
+    monkeypatch.setattr("rlco.training.pretraining.HELD_OUT", 8)
+    options = StageOneOptions(
+        seed=seed, image="dense", image_size=64, pretrain_scenes=8, pretrain_passes=1
+    )
+    path.mkdir()
+    run: Any = Folder(path)
+    pretrained_head(options, run, policy_of("dense"), Plane, None)
+    return drawn
+
+
+def test_a_runs_seed_draws_its_scenes_and_others_to_measure_the_error_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    one, again, other, third = (
+        scenes_drawn(seed, tmp_path / str(number), monkeypatch)
+        for number, seed in enumerate((0, 0, 1, 2))
+    )
+    for first, second in zip(one, again, strict=True):
+        assert torch.equal(first[keys.STATE], second[keys.STATE])
+    starts = [rows[keys.STATE][0] for rows in (*one, *other, *third)]
+    assert len(torch.unique(torch.stack(starts), dim=0)) == len(starts) == 6
 
 
 def test_labels_are_those_of_the_task() -> None:
