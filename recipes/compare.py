@@ -24,6 +24,7 @@ from rlco.reporting.comparison import (
     comparison_table,
     cost_table,
     curves_of,
+    mean_table,
     overview_table,
     prediction_runs,
     prediction_table,
@@ -156,6 +157,7 @@ def save(experiment: Experiment, jobs: Sequence[Job], store: Store, out: Path) -
     text = (
         overview
         + comparison_table(entries, table.differences)
+        + (mean_table(entries, table.differences) if table.mean else "")
         + prediction_table(entries, table.predictions)
         + cost_table(entries)
     )

@@ -5,8 +5,9 @@
 Each experiment of benchmarks/experiments whose cells are all there gets a page of all
 its tables, docs/tables/NAME.md, and figures, docs/figures/NAME-*.png. In README.md and
 the pages of docs, what stands between the lines `<!-- results NAME -->` and
-`<!-- end -->` becomes the first table of NAME: of several groups the overview, and what
-was predicted. After `<!-- results NAME: COLUMN, COLUMN -->` it has these columns alone.
+`<!-- end -->` becomes the first table of NAME: of several groups the overview, their
+mean, and what was predicted. After `<!-- results NAME: COLUMN, COLUMN -->` it has these
+columns alone.
 """
 
 from __future__ import annotations
@@ -83,10 +84,9 @@ def write_page(name: str, experiment: Path, cells: Path) -> str:
     print(f"docs/tables/{name}.md: written")
     overview, *sections = tables.split("\n## ")
     overview = re.sub(r"\A## .*\n+", "", overview)  # of the only group
-    predicted = [one for one in sections if one.startswith("Predictions\n")]
-    return "\n\n".join(
-        part.removeprefix("Predictions\n").strip() for part in (overview, *predicted)
-    )
+    heads = ("Mean\n", "Predictions\n")
+    over_all = [one.partition("\n")[2] for one in sections if one.startswith(heads)]
+    return "\n\n".join(part.strip() for part in (overview, *over_all))
 
 
 def filled(text: str, tables: Mapping[str, str]) -> str:

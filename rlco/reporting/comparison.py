@@ -10,7 +10,7 @@ from typing import Any, Literal
 from rlco.errors import DataError
 from rlco.reporting.plots import Curve
 from rlco.reporting.rank_correlation import LEAST_GROUPS, Runs, rank_correlation
-from rlco.reporting.statistics import Interval, mean_interval
+from rlco.reporting.statistics import Interval, mean_interval, mean_of_means
 from rlco.runs.compare.cells import EVALUATED, ROLLOUT
 from rlco.runs.compare.experiment import Prediction
 
@@ -174,7 +174,8 @@ def _differences(entries: Sequence[Entry], pairs: Sequence[tuple[str, str]]) -> 
     domains = _domains(found) or ["success"]
     head = ["difference, points", *domains, "seeds of both"]
     lines = [_row(head), "|---" * len(head) + "|"]
-    for first, second in pairs:
+    # A group need not have all methods.
+    for first, second in (pair for pair in pairs if set(pair) <= found.keys()):
         cells, numbers = [f"{first} - {second}"], set()
         for domain in domains:
             gains = _gains(found, first, second, domain)
@@ -241,6 +242,34 @@ def overview_table(
                 gains = _gains(found, first, second, domain)
                 cells.append(_points(mean_interval(gains)) if gains else "-")
             lines.append(_row(cells))
+    return "\n".join(lines) + "\n"
+
+
+def mean_table(entries: Sequence[Entry], differences: Sequence[tuple[str, str]]) -> str:
+    """Return the differences' means over the groups that have both, in Markdown.
+
+    Each group counts alike, whatever its seeds: `mean_of_means`.
+
+    Raises:
+        DataError: A method has several results in one domain.
+    """
+    groups = {
+        group: _found(entry for entry in entries if entry.group == group)
+        for group in dict.fromkeys(entry.group for entry in entries)
+    }
+    domains = dict.fromkeys(
+        domain for found in groups.values() for domain in _domains(found)
+    )
+    head = ["difference, points, mean over the tables", *domains, "tables"]
+    lines = ["\n## Mean\n", _row(head), "|---" * len(head) + "|"]
+    for first, second in differences:
+        cells = [f"{first} - {second}"]
+        both = [found for found in groups.values() if {first, second} <= found.keys()]
+        for domain in domains:
+            gains = [_gains(found, first, second, domain) for found in both]
+            whole = gains and all(gains)
+            cells.append(_points(mean_of_means(gains)) if whole else "missing")
+        lines.append(_row([*cells, str(len(both))]))
     return "\n".join(lines) + "\n"
 
 

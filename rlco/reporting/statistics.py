@@ -127,6 +127,41 @@ def mean_interval(values: Sequence[float], confidence: float = 0.95) -> Interval
     return Interval(mean, mean - reach, mean + reach)
 
 
+def mean_of_means(
+    groups: Sequence[Sequence[float]], confidence: float = 0.95
+) -> Interval:
+    """Mean of the means of several groups of independent runs, each counted alike.
+
+    The groups may differ in size and spread. The variance of the mean is the sum of
+    those of the groups' means over the squared number of groups; its degrees of freedom
+    are Welch's and Satterthwaite's (Biometrics Bulletin 2, 1946). Of a group with one
+    run nothing is known of its spread: the ends are nan.
+
+    Raises:
+        ValueError: No groups, or one without a run.
+
+    Example:
+        >>> mean, low, high = mean_of_means([[0.1, 0.3], [0.5, 0.7, 0.9]])
+        >>> f"{mean:.2f} [{low:.2f}, {high:.2f}]"
+        '0.45 [0.20, 0.70]'
+    """
+    if not groups or any(len(group) == 0 for group in groups):
+        raise ValueError("a mean of means needs a run in each group")
+    mean = float(np.mean([np.mean(group) for group in groups]))
+    if any(len(group) == 1 for group in groups):
+        return Interval(mean, math.nan, math.nan)
+    from scipy import stats
+
+    variances = np.array([np.var(group, ddof=1) / len(group) for group in groups])
+    if not variances.any():
+        return Interval(mean, mean, mean)
+    within = np.array([len(group) - 1 for group in groups])
+    freedom = variances.sum() ** 2 / np.sum(variances**2 / within)
+    error = math.sqrt(variances.sum()) / len(groups)
+    reach = float(stats.t.ppf((1 + confidence) / 2, freedom)) * error
+    return Interval(mean, mean - reach, mean + reach)
+
+
 def rate_interval(rows: Sequence[ResultRow], confidence: float = 0.95) -> Interval:
     """Success rate of one method in one place, with its interval.
 

@@ -166,6 +166,16 @@ def test_every_job_runs_once_and_later_ones_read_the_folders_of_earlier_ones(
     assert grid.run() == []
 
 
+def test_combinations_that_are_left_out_do_not_run_and_are_not_missing(
+    grid: Grid,
+) -> None:
+    grid.content["without"] = [{"seed": [1, 2], "beta": 0}]
+    ran = grid.run("jobs=1")
+    assert ran == [one for one in ALL if one not in ("second 1 0", "second 2 0")]
+    assert "| beta 0 | 30% | 30% | 1 |" in grid.table
+    assert "missing" not in grid.table
+
+
 def test_cells_hold_what_a_result_comes_from(grid: Grid) -> None:
     grid.run()
     (path,) = (grid.folder / "out").glob("jobs/second_seed2_beta4-*/cell.json")
@@ -503,6 +513,19 @@ def test_a_job_that_cannot_be_resumed_begins_anew(grid: Grid) -> None:
         ),
         (lambda c: c["over"].update(seed=[1, 1]), "over seed holds a value twice"),
         (lambda c: c["over"].update(seed=3), "over seed is no list of values"),
+        (
+            lambda c: c.update(without=[{"seed": 7}]),
+            "without has seed: 7, which is no value of it; known: 1, 2, 3",
+        ),
+        (
+            lambda c: c.update(without=[{"sed": 1}]),
+            "without has an unknown 'sed' (did you mean 'seed'?)",
+        ),
+        (lambda c: c.update(without=["seed"]), "without holds 'seed', which is no"),
+        (
+            lambda c: c["table"].update(mean=True),
+            "table has mean: True; give true beside by, or leave it out",
+        ),
         (
             lambda c: c["table"].update(methods={"rl": {"job": "second"}}),
             "table's method 'rl' mixes all values of beta; put {beta} into its label, "

@@ -13,6 +13,7 @@ from rlco.reporting.comparison import (
     comparison_table,
     cost_table,
     curves_of,
+    mean_table,
     overview_table,
     prediction_table,
 )
@@ -146,3 +147,24 @@ def test_a_prediction_counts_the_seeds_that_all_three_methods_have() -> None:
     assert found[1].endswith("| 3, 3 in all |")
     assert "| missing |" in prediction_table(given[:6], [prediction])
     assert prediction_table(given, []) == ""
+
+
+def test_a_mean_over_groups_counts_each_alike_and_those_with_both_methods() -> None:
+    # Gains of 0.1 and 0.3, mean 0.2; of 0.4, 0.5 and 0.6, mean 0.5. Variances of the
+    # means 0.01 and 1/300; 1 and 2 degrees of freedom, 1.68 of both together; t = 5.18.
+    both = [
+        *entries("a", [5, 7], group="task x"),
+        *entries("b", [4, 4], group="task x"),
+        *entries("a", [8, 9, 9], group="task y"),
+        *entries("b", [4, 4, 3], group="task y"),
+        *entries("b", [4, 4, 3], group="task z"),
+    ]
+    found = lines(mean_table(both, [("a", "b"), ("b", "c")]))
+    assert found[1] == "| a - b | +35.0 [+5.1, +64.9] | 2 |"
+    assert found[2] == "| b - c | missing | 0 |"
+
+
+def test_a_group_lists_no_difference_of_a_method_that_it_has_not() -> None:
+    one = entries("a", [5, 7], group="task x")
+    text = comparison_table([*one, *entries("b", [1], group="task y")], [("a", "b")])
+    assert "a - b" not in text

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -81,6 +81,7 @@ class Table:
         differences: Pairs of labels, first minus second.
         predictions: Rank correlations over the tables that ``by`` makes.
         curve_episodes: Episodes behind a point of a curve; None: as many as at the end.
+        mean: Whether the differences have a mean over the tables that ``by`` makes.
     """
 
     by: tuple[str, ...]
@@ -89,6 +90,11 @@ class Table:
     differences: tuple[tuple[str, str], ...]
     predictions: tuple[Prediction, ...]
     curve_episodes: int | None
+    mean: bool = False
+
+
+#: Values of some variables, combinations of which are not run.
+Without = Mapping[str, tuple[Any, ...]]
 
 
 @dataclass(frozen=True)
@@ -99,6 +105,23 @@ class Experiment:
     over: Mapping[str, tuple[Any, ...]]
     jobs: Mapping[str, JobKind]
     table: Table
+    without: tuple[Without, ...] = ()
+
+
+def left_out(values: Mapping[str, Any], without: Iterable[Without]) -> bool:
+    """Return whether values are a combination that is not run.
+
+    Example:
+        >>> without = [{"task": ("open_drawer",), "seed": (3, 4)}]
+        >>> left_out({"task": "open_drawer", "seed": 4, "beta": 0.2}, without)
+        True
+        >>> left_out({"seed": 4}, without)  # of a job that all tasks share
+        False
+    """
+    return any(
+        all(name in values and values[name] in given for name, given in one.items())
+        for one in without
+    )
 
 
 def labels_of(label: str, over: Mapping[str, tuple[Any, ...]]) -> list[str]:

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from rlco.runs.compare.code_version import Code, read_code
-from rlco.runs.compare.experiment import Experiment, JobKind
+from rlco.runs.compare.experiment import Experiment, JobKind, left_out
 from rlco.runs.compare.templates import filled, plain
 
 
@@ -96,7 +96,7 @@ def _hash(content: Any) -> str:
 
 
 def expand(experiment: Experiment) -> list[Job]:
-    """Return every job, those that others need before them.
+    """Return every job but those left out, those that others need before them.
 
     Jobs of one kind come in the order of the values; the first variable changes last.
     """
@@ -107,6 +107,8 @@ def expand(experiment: Experiment) -> list[Job]:
             *(experiment.over[name] for name in kind.variables)
         ):
             values = dict(zip(kind.variables, combination, strict=True))
+            if left_out(values, experiment.without):
+                continue
             needs = {
                 need: find(found, experiment.jobs[need], values) for need in kind.needs
             }

@@ -18,6 +18,7 @@ from rlco.runs.compare.experiment import (
     Line,
     Prediction,
     Table,
+    Without,
     labels_of,
 )
 from rlco.runs.compare.templates import flat, names_in
@@ -35,6 +36,8 @@ def read_experiment(path: Path) -> Experiment:
         over:                    # variables; of jobs that cost the same, those with
           seed: [0, 1, 2]        # earlier values of the first variable run first
           beta: [0, 0.2]
+        without:                 # combinations that are not run; may be left out
+          - {seed: 2, beta: 0}
         jobs:                    # each runs once for all values of what it names
           sim:
             script: recipes/record_demos.py
@@ -56,6 +59,7 @@ def read_experiment(path: Path) -> Experiment:
           differences: [[beta 0.2, sft], [beta 0.2, beta 0]]
           # With `by: gap`, the rank correlation of two means over the gaps:
           # predictions: [{gain: [beta 0.2, beta 0], falls_with: sft, domain: stand_in}]
+          # and with `mean: true` the differences' mean over the gaps, by domain.
 
     ``{seed}`` is a variable's value; ``{sft}`` the run folder of the job ``sft`` with
     the same values of the variables that it has. A job may need those written above it.
@@ -65,14 +69,15 @@ def read_experiment(path: Path) -> Experiment:
     """
     content = _content(path)
     reader = _Reader(path)
-    reader.known(content, ("name", "over", "jobs", "table"), "the file")
+    reader.known(content, ("name", "over", "without", "jobs", "table"), "the file")
     name = content.get("name", path.stem)
     over = reader.over(content.get("over"))
+    without = reader.without(content.get("without") or [], over)
     jobs = reader.jobs(content.get("jobs"), over)
     table = reader.table(content.get("table"), over, jobs)
     if reader.problems:
         raise ConfigError([f"in {path}: {problem}" for problem in reader.problems])
-    return Experiment(str(name), over, jobs, table)
+    return Experiment(str(name), over, jobs, table, without)
 
 
 def _content(path: Path) -> dict[str, Any]:
@@ -125,6 +130,32 @@ class _Reader:
             else:
                 found[name] = tuple(values)
         return found
+
+    def without(
+        self, given: Any, over: Mapping[str, tuple[Any, ...]]
+    ) -> tuple[Without, ...]:
+        """Return the combinations that are not run."""
+        found = []
+        for one in given if isinstance(given, list) else [given]:
+            if not (isinstance(one, dict) and one):
+                self.problems.append(
+                    f"without holds {one!r}, which is no mapping of variables to values"
+                )
+                continue
+            self.known(one, list(over), "without")
+            values = {
+                str(name): tuple(each) if isinstance(each, list) else (each,)
+                for name, each in one.items()
+            }
+            self.problems += [
+                f"without has {name}: {value!r}, which is no value of it; known: "
+                f"{', '.join(map(str, over[name]))}"
+                for name, each in values.items()
+                for value in each
+                if name in over and value not in over[name]
+            ]
+            found.append(values)
+        return tuple(found)
 
     def names(self, value: Any, what: str, allowed: Iterable[str]) -> list[str]:
         """Return the names in a template's braces, checked."""
@@ -234,6 +265,7 @@ class _Reader:
             "differences",
             "predictions",
             "curve_episodes",
+            "mean",
         )
         self.known(content, known, "table")
         by = content.get("by", [])
@@ -257,7 +289,12 @@ class _Reader:
         episodes = content.get("curve_episodes")
         if episodes is not None and not isinstance(episodes, int):
             self.problems.append(f"table's curve_episodes is {episodes!r}, no number")
-        return Table(tuple(by), seed, lines, pairs, predictions, episodes)
+        mean = content.get("mean", False)
+        if not isinstance(mean, bool) or (mean and not by):
+            self.problems.append(
+                f"table has mean: {mean!r}; give true beside by, or leave it out"
+            )
+        return Table(tuple(by), seed, lines, pairs, predictions, episodes, mean is True)
 
     def differences(
         self, given: Any, labels: Iterable[str]
