@@ -19,6 +19,7 @@ import pytest
 
 from rlco.errors import RlcoError
 from rlco.gap.compare.arm.kernel import Views, roll_out_forces
+from rlco.gap.compare.arm.step_through import NONE
 from rlco.physics.effects import EFFECTS, AppliedEffect, Effect, Parameter, register
 from rlco.physics.effects.apply import step_forces
 from rlco.physics.effects.effect import Array
@@ -164,8 +165,7 @@ class Three:
             np.zeros((1, 2), dtype=np.int64),
             np.zeros((2, 1)),
             step_forces(model, self.effects),
-            -1,
-            np.zeros(0),
+            NONE,
             False,
         )
         return data.qfrc_applied.copy(), model.dof_frictionloss.copy()

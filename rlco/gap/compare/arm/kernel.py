@@ -47,6 +47,16 @@ class Views(NamedTuple):
     own: Array  # its values without friction from effects, (nv,)
 
 
+class Outside(NamedTuple):
+    """A torque that acts on one joint from outside, and no effect describes."""
+
+    dof: int  # its degree of freedom; -1: there is none
+    address: int  # of its position
+    torque: Array  # at each step (steps,) [N m or N]; an output with a path
+    path: Array  # position and velocity that it makes the joint follow, (steps, 2)
+    gains: tuple[float, float]  # on the distance to these
+
+
 @njit(cache=True, nogil=True)
 def roll_out_forces(
     model: int,
@@ -56,8 +66,7 @@ def roll_out_forces(
     read: Any,
     track: Any,
     forces: Any,
-    dof: int,
-    outside: Any,
+    outside: Outside,
     runge_kutta: bool,
 ) -> None:
     """Do the same as `roll_out`, with forces from effects at each step.
@@ -70,12 +79,11 @@ def roll_out_forces(
         read: As in `roll_out`.
         track: As in `roll_out`.
         forces: A `StepForces`.
-        dof: Where a torque from outside acts.
-        outside: That torque at each step, (steps,); (0,) for none.
+        outside: A torque from outside.
         runge_kutta: Whether the model uses the Runge-Kutta integrator, which
             ``mj_step2`` does not support.
     """
-    v = views
+    v, dof = views, outside.dof
     for step in range(len(commands) + 1):
         for row in range(len(read)):
             track[step, read[row, 0]] += v.qpos[read[row, 1]]
@@ -92,14 +100,19 @@ def roll_out_forces(
             v.friction,
         )
         v.ctrl[:] = commands[step]
-        if len(outside):
+        if dof >= 0:
             v.applied[dof] = 0.0
         if forces.torque.rows.shape[0]:
             mj_step1(model, data)
             mj_fwdActuation(model, data)
             set_torques(forces.torque, v.qpos, v.qvel, v.actuation, v.bias, v.applied)
-        if len(outside):
-            v.applied[dof] += outside[step]
+        if dof >= 0:
+            if len(outside.path):
+                away = outside.path[step, 0] - v.qpos[outside.address]
+                slower = outside.path[step, 1] - v.qvel[dof]
+                stiffness, damping = outside.gains
+                outside.torque[step] = stiffness * away + damping * slower
+            v.applied[dof] += outside.torque[step]
         if forces.torque.rows.shape[0] == 0:
             mj_step(model, data)
             continue

@@ -17,8 +17,9 @@ import numpy as np
 
 from rlco.gap.compare.arm.command_changes import CommandChanges
 from rlco.gap.compare.arm.divergence import diverged
+from rlco.gap.compare.arm.kernel import Outside
 from rlco.gap.compare.arm.needed_torque import limits, servo_torque
-from rlco.gap.compare.arm.step_through import step_through
+from rlco.gap.compare.arm.step_through import NONE, step_through
 from rlco.gap.compare.model_tolerance import apply_tolerance, tolerance_names
 from rlco.gap.compare.problem import (
     Calibrated,
@@ -271,15 +272,14 @@ class ArmRollouts(Problem):
         other._torques = joint, {**known, **added}
         return other
 
-    def _outside(
-        self, model: mujoco.MjModel, segment: Segment
-    ) -> tuple[int, Array] | None:
-        """Return the address of a joint and its torque from outside, (steps,)."""
+    def _outside(self, model: mujoco.MjModel, segment: Segment) -> Outside | None:
+        """Return a segment's torque from outside."""
         if self._torques is None or segment.recording not in self._torques[1]:
             return None
         joint, torques = self._torques
         steps = slice(segment.steps, segment.steps + segment.commands)
-        return dof_of(model, joint), torques[segment.recording][steps]
+        torque = np.ascontiguousarray(torques[segment.recording][steps])
+        return NONE._replace(dof=dof_of(model, joint), torque=torque)
 
     def _joint_commands(self, log: Recording) -> Array:
         commands = np.array(log.position, dtype=float)

@@ -5,10 +5,12 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 
-from rlco.gap.compare.arm.kernel import Views, roll_out, roll_out_forces
+from rlco.gap.compare.arm.kernel import Outside, Views, roll_out, roll_out_forces
 from rlco.gap.compare.problem import Integers
 from rlco.gap.logs.log import Array
 from rlco.physics.effects.step_forces import StepForces
+
+NONE = Outside(-1, -1, np.zeros(0), np.zeros((0, 2)), (0.0, 0.0))
 
 
 def step_through(
@@ -18,7 +20,7 @@ def step_through(
     read: Integers,
     track: Array,
     forces: StepForces,
-    outside: tuple[int, Array] | None = None,
+    outside: Outside | None = None,
 ) -> None:
     """Step a model through its commands, from the current state of its data.
 
@@ -29,7 +31,7 @@ def step_through(
         read: Columns and addresses to record, see `roll_out`.
         track: Output: positions before each step, (steps + 1, columns).
         forces: Forces at each step beyond the model's own.
-        outside: Degree of freedom and torque at each step, (steps,); None for none.
+        outside: A torque from outside; None: there is none.
     """
     addresses = (model._address, data._address)
     commands = np.ascontiguousarray(commands)
@@ -49,7 +51,6 @@ def step_through(
     )
     runge_kutta = model.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
     mujoco.mj_forward(model, data)
-    dof, torque = (-1, np.zeros(0)) if outside is None else outside
-    inputs = (commands, read, track, forces, dof, np.ascontiguousarray(torque))
+    inputs = (commands, read, track, forces, outside or NONE)
     roll_out_forces(*addresses, views, *inputs, bool(runge_kutta))
     model.dof_frictionloss[:] = own

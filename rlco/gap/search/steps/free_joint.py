@@ -7,8 +7,9 @@ noise, the torque of a joint may take any course over time, and its encoder may 
 any function of position: these changes cost nothing. If one joint set free lets the
 library explain the rest, effects are named beside it, and its torque is drawn.
 
-The torque is estimated and applied, and its changes are measured again where it then
-is: large knocks are not linear.
+The torque is first what keeps the joint on its measured path, however large, then
+improved by least squares, and its changes are measured again where it then is: large
+knocks are not linear.
 """
 
 from __future__ import annotations
@@ -21,13 +22,17 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
+from rlco.gap.compare.arm.following_torque import following_torque
 from rlco.gap.compare.arm.free_torque import hats, session_begins
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.arm.torque_over_time import (
     TorqueOverTime,
+    as_hats,
     at_times,
+    finer_knots,
     torque_over_time,
     with_amounts,
+    with_hats,
 )
 from rlco.gap.compare.problem import Candidate, FreeForm, Hypothesis
 from rlco.gap.compare.stability.instability import UnstableModelError
@@ -43,6 +48,7 @@ from rlco.gap.search.steps.start import start
 from rlco.gap.search.whitening import often
 from rlco.physics.effects import AppliedEffect
 from rlco.physics.effects.sensing import ENCODER_SCALE, JOINT_OFFSET
+from rlco.physics.effects.targets import actuator_of
 
 LARGE = 1.15  # residual over the noise, in all recordings, for which a joint is freed
 GAIN = 0.3  # share of this residual that setting a joint free must remove
@@ -104,19 +110,31 @@ def free_joint(state: State, additions: Additions) -> Generator[State, None, Sta
 
 
 def _likely(state: State, problem: ArmRollouts) -> list[tuple[Scored, str]]:
-    """Return joints that explain most when they are free, each beside which effects."""
+    """Return joints that explain most when they are free, each beside which effects.
+
+    Each is kept on its measured path; what then is left is left at the others.
+    """
     bases = {one.names: one for one in (*_singles(state), state.best, state.none)}
-    hypotheses = [Hypothesis(one.effects) for one in bases.values()]
-    rows = problem.residuals(hypotheses)
+    none_free = np.zeros((0, len(problem.layout.channel)))
+    amounts = _Amounts.of(state, none_free)
     found = []
     for joint in problem.log.joints:
-        torques = torque_over_time(problem, Hypothesis(), joint)
-        if torques is None:
+        if actuator_of(problem.model, joint) < 0:
             continue
-        amounts = _Amounts.of(state, torques.columns())
-        errors = [amounts.residual(row) for row in rows]
-        index = int(np.argmin(errors))
-        found.append((errors[index], list(bases.values())[index], joint))
+        errors = {}
+        for names, base in bases.items():
+            hypothesis = Hypothesis(base.effects)
+            torque = following_torque(problem, hypothesis, joint)
+            if torque is None:
+                continue
+            (rows,) = problem.with_torques(joint, torque).residuals([hypothesis])
+            errors[names] = amounts.residual(rows)
+        if errors:
+            best = min(errors, key=errors.__getitem__)
+            nothing = errors.get(state.none.names, np.inf)
+            if errors[best] > (1.0 - FEWER) * nothing:
+                best = state.none.names  # what explains little is found again
+            found.append((errors[best], bases[best], joint))
     found.sort(key=lambda one: one[0])
     return [(base, joint) for _, base, joint in found]
 
@@ -284,12 +302,17 @@ def _estimated(
         (rows,) = moved.residuals([hypothesis])
         return float(np.sqrt(np.mean((rows / scale) ** 2))), rows
 
-    torques = torque_over_time(problem, hypothesis, joint)
-    size, rows = compared(problem)
+    followed = following_torque(problem, hypothesis, joint)
+    if followed is None:
+        return None
+    knots = finer_knots(problem, followed)
+    begun = as_hats(problem, followed, knots)
+    moved = with_hats(problem, joint, knots, begun)
+    size, rows = compared(moved)
+    torques = torque_over_time(moved, hypothesis, joint, knots)
     if torques is None or not np.isfinite(size):
         return None
-    moved = problem
-    total: Array = np.zeros(len(torques.time))
+    total = np.concatenate(begun) / torques.torque
     for _ in range(_ROUNDS):
         # Torques alone: an encoder's error would cancel a constant one.
         fitted = _Amounts.of(state, torques.moved).fitted(rows)
@@ -303,7 +326,7 @@ def _estimated(
         else:
             break
         moved, total = trial, total + part * step
-        again = torque_over_time(moved, hypothesis, joint)
+        again = torque_over_time(moved, hypothesis, joint, knots)
         if again is None:
             return None
         torques = again

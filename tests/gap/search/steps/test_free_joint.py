@@ -10,8 +10,13 @@ import pytest
 from hidden_arms import TURNTABLES, TWO_LINKS, record
 from small_problems import last_state
 
+from rlco.gap.compare.arm.following_torque import following_torque
 from rlco.gap.compare.arm.rollouts import ArmRollouts
-from rlco.gap.compare.arm.torque_over_time import torque_over_time, with_amounts
+from rlco.gap.compare.arm.torque_over_time import (
+    finer_knots,
+    torque_over_time,
+    with_amounts,
+)
 from rlco.gap.compare.problem import (
     Candidate,
     Divergence,
@@ -20,6 +25,7 @@ from rlco.gap.compare.problem import (
     Verdict,
 )
 from rlco.gap.compare.stability.instability import UnstableModelError
+from rlco.gap.logs.log import Array
 from rlco.gap.report.verdict_text import outside_line
 from rlco.gap.search.find_gap import additions, find_gap
 from rlco.gap.search.state import State
@@ -130,6 +136,66 @@ def test_the_columns_are_what_a_small_torque_over_time_does() -> None:
     )
     change = amounts @ free.moved
     np.testing.assert_allclose(after - before, change, atol=0.03 * np.abs(change).max())
+
+
+def _steps(problem: ArmRollouts) -> list[Array]:
+    step = float(problem.model.opt.timestep)
+    return [
+        step * np.arange(round(o.seconds / step) + 1) for o in problem.log.recordings
+    ]
+
+
+def test_columns_of_hats_that_are_closer_at_the_ends_of_knocks_are_so_too() -> None:
+    problem = _problem(quiet=True)
+    knocks = {i: ((t > 0.82) & (t < 1.27)) * 1.0 for i, t in enumerate(_steps(problem))}
+    knots = finer_knots(problem, knocks)
+    for times in knots:
+        close = times[1:][np.diff(times) < 0.05]
+        assert {0.825, 0.85, 0.875, 0.9} <= set(close.round(6))
+        assert {1.225, 1.25, 1.275, 1.3} <= set(close.round(6))
+        assert len(close) < 15
+    free = torque_over_time(problem, Hypothesis(), "shoulder", knots)
+    assert free is not None
+    amounts = 0.02 * np.random.default_rng(0).normal(size=len(free.time))
+    before, after = (
+        one.residuals([Hypothesis()])[0]
+        for one in (problem, with_amounts(problem, free, amounts))
+    )
+    change = amounts @ free.moved
+    np.testing.assert_allclose(after - before, change, atol=0.03 * np.abs(change).max())
+
+
+def test_a_torque_that_changes_slowly_needs_no_more_hats() -> None:
+    problem = _problem(quiet=True)
+    slow = {i: np.sin(time) for i, time in enumerate(_steps(problem))}
+    free = torque_over_time(problem, Hypothesis(), "shoulder")
+    assert free is not None
+    assert sum(map(len, finer_knots(problem, slow))) == len(free.time)
+
+
+def test_a_knock_that_a_motor_cannot_hold_against_is_found_whole() -> None:
+    weak = TURNTABLES.replace('kp="40" kv="2"', 'kp="40" kv="2" forcerange="-1 1"')
+    begins, lasts, strong = 1.2, 0.25, 6.0
+
+    def push(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        within = begins <= data.time < begins + lasts
+        data.qfrc_applied[0] = strong if within else 0.0
+
+    log = record(None, push, xml=weak, episodes=2)
+    problem = ArmRollouts(mujoco.MjSpec.from_string(weak), log, np.full(2, 4e-4))
+    (fell,) = problem.residuals([Hypothesis()])
+    assert np.abs(fell).max() > 1.0  # [rad]
+    found = following_torque(problem, Hypothesis(), "shoulder")
+    assert found is not None
+    time = float(problem.model.opt.timestep) * np.arange(len(found[0]))
+    middle = (time > begins + 0.1) & (time < begins + lasts - 0.05)
+    assert found[0][middle].mean() == pytest.approx(strong, rel=0.05)
+    quiet = (time < begins - 0.2) | (time > begins + lasts + 0.4)
+    assert np.abs(found[0][quiet].mean()) < 0.02 * strong
+    (rows,) = problem.with_torques("shoulder", found).residuals([Hypothesis()])
+    # The joint follows within the acceleration over the square of the spring's rate.
+    assert np.abs(rows).max() < 1.2 * strong / 0.012 / 40.0**2
+    assert np.sqrt(np.mean(rows**2)) < 0.1 * np.sqrt(np.mean(fell**2))
 
 
 def test_a_torque_from_outside_acts_beside_a_motor_at_its_limit() -> None:
