@@ -5,7 +5,8 @@
 
 A recipe with small settings runs once to its end. Then it is started again as often as
 asked for, ended by ``kill -9`` after a random part of that time, and resumed; where a
-recipe has no ``resume=``, it is started anew. What it leaves must be the same to the
+recipe has no ``resume=``, it is started anew, without what a kill left where that is
+refused. What it leaves must be the same to the
 byte: tables, weights, checkpoints, demonstrations and results; not the times in them.
 Processes are forked from one that has loaded the libraries, so that kills fall into
 the recipe's own work, not into its imports.
@@ -42,6 +43,7 @@ from rlco.errors import RlcoError
 from rlco.lerobot_files import read_folder
 from rlco.physics.effects import EFFECTS
 from rlco.run import run_recipe
+from rlco.runs.whole_files import UNFINISHED
 
 RECIPES = Path(__file__).parents[1] / "recipes"
 #: Names of files that tell times, or are drawn; a run's own checkpoints hold the rest.
@@ -92,7 +94,7 @@ class Case:
         recipe: Its name.
         options: But for ``out``.
         goes_on: How it goes on after a kill: ``resume``, ``same`` (the same command
-            again), or ``anew`` (its folder is taken away first, since it is refused).
+            again), or ``anew`` (that too; what it refuses is taken away first).
     """
 
     recipe: str
@@ -301,7 +303,9 @@ def warm(recipes: list[str]) -> None:
 def state_of(out: Path, whole: dict[str, str]) -> str:
     """Say what a killed recording or search left."""
     if not out.exists():
-        return "nothing"
+        part = unfinished(out)
+        written = part.exists() and any(part.iterdir())
+        return "a part, of another name" if written else "nothing"
     if left(out) == whole:
         return "all of it"
     if (out / "meta").is_dir():
@@ -311,6 +315,19 @@ def state_of(out: Path, whole: dict[str, str]) -> str:
             return "a part, refused"
         return "a part, read as whole"
     return "a part"
+
+
+def unfinished(out: Path) -> Path:
+    """Return what a folder is called until it is whole."""
+    return out.with_name(out.name + UNFINISHED)
+
+
+def take_away(out: Path) -> None:
+    """Take away what a command refuses; an empty part of a folder is none of it."""
+    shutil.rmtree(out, ignore_errors=True)
+    part = unfinished(out)
+    if part.exists() and any(part.iterdir()):
+        shutil.rmtree(part)
 
 
 def kill_and_go_on(case: Case, place: Path, kills: int, draw: random.Random) -> Counter:
@@ -336,7 +353,7 @@ def kill_and_go_on(case: Case, place: Path, kills: int, draw: random.Random) -> 
             continue
         if case.goes_on == "anew":
             counts[state_of(out, whole)] += 1
-            shutil.rmtree(out, ignore_errors=True)
+            take_away(out)
         elif case.goes_on == "same":
             time.sleep(1)  # its jobs end with it, not before it
         options = [f"resume={out}"]
@@ -375,7 +392,7 @@ def main() -> None:
             draw = random.Random(f"{case.recipe} {seed}")
             counts = kill_and_go_on(case, place, often[case.recipe], draw)
             states = ("nothing", "all of it", "a part", "a part, refused")
-            states += ("a part, read as whole",)
+            states += ("a part, of another name", "a part, read as whole")
             said = ", ".join(f"{s}: {counts[s]}" for s in states if counts[s])
             columns = ("seconds", "files", "killed", "equal", "different")
             cells = " | ".join(str(counts[name]) for name in columns)
