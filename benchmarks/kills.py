@@ -20,6 +20,7 @@ import importlib
 import json
 import os
 import random
+import resource
 import shutil
 import sys
 import tempfile
@@ -56,6 +57,7 @@ _COMPARED = {
     ".npz",
     ".yaml",
     ".xml",
+    ".diff",
     ".md",
 }
 _TIMES = {"seconds", "cpu_seconds", "finished", "attempts", "minutes", "command"}
@@ -330,17 +332,24 @@ def take_away(out: Path) -> None:
         shutil.rmtree(part)
 
 
+def spent() -> float:
+    """Return the processor time of all processes that were started and ended [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def kill_and_go_on(case: Case, place: Path, kills: int, draw: random.Random) -> Counter:
     """Return how often a recipe was killed, and what became of it."""
     out, log = place / "run", place / f"{case.recipe}.txt"
     begin = [*case.options, f"out={out}"]
-    began = time.monotonic()
+    began, before = time.monotonic(), spent()
     to_its_end(case.recipe, begin, log)
     lasted = time.monotonic() - began
     whole = left(out)
     shutil.rmtree(out)
     counts: Counter[str] = Counter({"files": len(whole)})
     counts["seconds"] = round(lasted)
+    counts["processor"] = round(spent() - before)
     while counts["killed"] < kills:
         process = start(case.recipe, begin, log)
         part = (counts["killed"] + draw.random()) / kills  # spread over all of it
@@ -370,6 +379,7 @@ def kill_and_go_on(case: Case, place: Path, kills: int, draw: random.Random) -> 
             print(f"{case.recipe}: status {status}, differ: {names[:8]}")
             shutil.move(out, place / f"{case.recipe} {counts['different']}")
         shutil.rmtree(out, ignore_errors=True)
+    counts["minutes"] = round((spent() - before) / 60, 1)
     return counts
 
 
@@ -385,8 +395,12 @@ def main() -> None:
     sys.path.insert(0, str(RECIPES))
     torch.set_num_threads(1)
     warm(names)
-    print("| recipe | seconds | files compared | kills | equal | different | left |")
-    print("|---|---|---|---|---|---|---|", flush=True)
+    print(
+        "| recipe | seconds | of the processor | files compared | kills | equal |",
+        end="",
+    )
+    print(" different | processor minutes of all | left |")
+    print("|---|---|---|---|---|---|---|---|---|", flush=True)
     with few_effects():
         for case in make_cases(place, names):
             draw = random.Random(f"{case.recipe} {seed}")
@@ -394,7 +408,8 @@ def main() -> None:
             states = ("nothing", "all of it", "a part", "a part, refused")
             states += ("a part, of another name", "a part, read as whole")
             said = ", ".join(f"{s}: {counts[s]}" for s in states if counts[s])
-            columns = ("seconds", "files", "killed", "equal", "different")
+            columns = ("seconds", "processor", "files", "killed", "equal", "different")
+            columns += ("minutes",)
             cells = " | ".join(str(counts[name]) for name in columns)
             print(f"| {case.recipe} | {cells} | {said} |", flush=True)
 
