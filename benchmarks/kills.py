@@ -5,7 +5,8 @@
 
 A recipe with small settings runs once to its end. Then it is started again as often as
 asked for, ended by ``kill -9`` after a random part of that time, and resumed; where a
-recipe has no ``resume=``, it is started anew. What it leaves must be the same to the
+recipe has no ``resume=``, it is started anew, without what a kill left where that is
+refused. What it leaves must be the same to the
 byte: tables, weights, checkpoints, demonstrations and results; not the times in them.
 Processes are forked from one that has loaded the libraries, so that kills fall into
 the recipe's own work, not into its imports.
@@ -19,6 +20,7 @@ import importlib
 import json
 import os
 import random
+import resource
 import shutil
 import sys
 import tempfile
@@ -42,6 +44,7 @@ from rlco.errors import RlcoError
 from rlco.lerobot_files import read_folder
 from rlco.physics.effects import EFFECTS
 from rlco.run import run_recipe
+from rlco.runs.whole_files import UNFINISHED
 
 RECIPES = Path(__file__).parents[1] / "recipes"
 #: Names of files that tell times, or are drawn; a run's own checkpoints hold the rest.
@@ -54,6 +57,7 @@ _COMPARED = {
     ".npz",
     ".yaml",
     ".xml",
+    ".diff",
     ".md",
 }
 _TIMES = {"seconds", "cpu_seconds", "finished", "attempts", "minutes", "command"}
@@ -92,7 +96,7 @@ class Case:
         recipe: Its name.
         options: But for ``out``.
         goes_on: How it goes on after a kill: ``resume``, ``same`` (the same command
-            again), or ``anew`` (its folder is taken away first, since it is refused).
+            again), or ``anew`` (that too; what it refuses is taken away first).
     """
 
     recipe: str
@@ -301,7 +305,9 @@ def warm(recipes: list[str]) -> None:
 def state_of(out: Path, whole: dict[str, str]) -> str:
     """Say what a killed recording or search left."""
     if not out.exists():
-        return "nothing"
+        part = unfinished(out)
+        written = part.exists() and any(part.iterdir())
+        return "a part, of another name" if written else "nothing"
     if left(out) == whole:
         return "all of it"
     if (out / "meta").is_dir():
@@ -313,17 +319,37 @@ def state_of(out: Path, whole: dict[str, str]) -> str:
     return "a part"
 
 
+def unfinished(out: Path) -> Path:
+    """Return what a folder is called until it is whole."""
+    return out.with_name(out.name + UNFINISHED)
+
+
+def take_away(out: Path) -> None:
+    """Take away what a command refuses; an empty part of a folder is none of it."""
+    shutil.rmtree(out, ignore_errors=True)
+    part = unfinished(out)
+    if part.exists() and any(part.iterdir()):
+        shutil.rmtree(part)
+
+
+def spent() -> float:
+    """Return the processor time of all processes that were started and ended [s]."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
 def kill_and_go_on(case: Case, place: Path, kills: int, draw: random.Random) -> Counter:
     """Return how often a recipe was killed, and what became of it."""
     out, log = place / "run", place / f"{case.recipe}.txt"
     begin = [*case.options, f"out={out}"]
-    began = time.monotonic()
+    began, before = time.monotonic(), spent()
     to_its_end(case.recipe, begin, log)
     lasted = time.monotonic() - began
     whole = left(out)
     shutil.rmtree(out)
     counts: Counter[str] = Counter({"files": len(whole)})
     counts["seconds"] = round(lasted)
+    counts["processor"] = round(spent() - before)
     while counts["killed"] < kills:
         process = start(case.recipe, begin, log)
         part = (counts["killed"] + draw.random()) / kills  # spread over all of it
@@ -336,7 +362,7 @@ def kill_and_go_on(case: Case, place: Path, kills: int, draw: random.Random) -> 
             continue
         if case.goes_on == "anew":
             counts[state_of(out, whole)] += 1
-            shutil.rmtree(out, ignore_errors=True)
+            take_away(out)
         elif case.goes_on == "same":
             time.sleep(1)  # its jobs end with it, not before it
         options = [f"resume={out}"]
@@ -353,6 +379,7 @@ def kill_and_go_on(case: Case, place: Path, kills: int, draw: random.Random) -> 
             print(f"{case.recipe}: status {status}, differ: {names[:8]}")
             shutil.move(out, place / f"{case.recipe} {counts['different']}")
         shutil.rmtree(out, ignore_errors=True)
+    counts["minutes"] = round((spent() - before) / 60, 1)
     return counts
 
 
@@ -368,16 +395,21 @@ def main() -> None:
     sys.path.insert(0, str(RECIPES))
     torch.set_num_threads(1)
     warm(names)
-    print("| recipe | seconds | files compared | kills | equal | different | left |")
-    print("|---|---|---|---|---|---|---|", flush=True)
+    print(
+        "| recipe | seconds | of the processor | files compared | kills | equal |",
+        end="",
+    )
+    print(" different | processor minutes of all | left |")
+    print("|---|---|---|---|---|---|---|---|---|", flush=True)
     with few_effects():
         for case in make_cases(place, names):
             draw = random.Random(f"{case.recipe} {seed}")
             counts = kill_and_go_on(case, place, often[case.recipe], draw)
             states = ("nothing", "all of it", "a part", "a part, refused")
-            states += ("a part, read as whole",)
+            states += ("a part, of another name", "a part, read as whole")
             said = ", ".join(f"{s}: {counts[s]}" for s in states if counts[s])
-            columns = ("seconds", "files", "killed", "equal", "different")
+            columns = ("seconds", "processor", "files", "killed", "equal", "different")
+            columns += ("minutes",)
             cells = " | ".join(str(counts[name]) for name in columns)
             print(f"| {case.recipe} | {cells} | {said} |", flush=True)
 

@@ -77,10 +77,11 @@ def find(config: Config, run: Run, hidden: Path) -> Path:
     from rlco.gap import run_gap
     from rlco.gap.practice_arm import record_arm, write_known_model
     from rlco.runs.run_folder import command_line
+    from rlco.runs.whole_files import UNFINISHED
 
     logs, model, out = (run.path / name for name in ("logs", "nominal.xml", "gap"))
     if not (out / "report.html").exists():
-        for old in (logs, out):
+        for old in (logs, out, out.with_name(out.name + UNFINISHED)):
             shutil.rmtree(old, ignore_errors=True)
         record_arm(
             logs,

@@ -10,7 +10,8 @@
 Into `out` it writes report.html for people, report.json for programs, model.xml and
 model.diff with what was found in the model, and effects.yaml, a domain for
 `make_env(domain=)` and the other recipes.
-Ctrl-C ends the search and writes the best so far.
+Ctrl-C ends the search and writes the best so far. Until all of it is written, `out` is
+called `out`.unfinished.
 """
 
 from __future__ import annotations
@@ -20,22 +21,25 @@ import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
 from typing import Literal
 
-from rlco.errors import ConfigError, RlcoError
+from rlco.errors import ConfigError
 from rlco.run import run_recipe
 from rlco.runs.config import REQUIRED, option
+from rlco.runs.endings import Stopped
 from rlco.runs.options import rename_map, scale_map
 from rlco.runs.run_folder import command_line
-from rlco.runs.whole_files import check_new_folder, write_json
+from rlco.runs.whole_files import check_new_folder, whole_folder, write_json
 
 log = logging.getLogger("rlco.find_gap")
 
 _SILENT = 30.0  # [s] at most without a word where no bar is shown
 _WRITING = 60.0  # [s] after a Ctrl-C in which the next ones are not heeded
+#: Signals that ask for an end: Ctrl-C, a cluster's, a closed terminal's.
+ENDS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
 @dataclass
@@ -100,7 +104,8 @@ def main(config: Config) -> None:
     if config.check is not None:
         check(config, config.check)
         return
-    with new_folder(config.out) as out, one_interrupt():
+    check_new_folder(Path(config.out))
+    with one_interrupt() as ends, whole_folder(config.out) as part:
         with progress_bar() as progress:
             finding = run_gap(
                 config.model,
@@ -118,11 +123,13 @@ def main(config: Config) -> None:
                 film=config.film,
                 progress=progress,
             )
+        ends.held = True  # until all of it is written
         for line in finding.summary():
             log.info("%s", line)
-        log.info("report: %s", finding.write(out, command=command_line()))
-    if not finding.complete:
-        raise KeyboardInterrupt
+        finding.write_files(part, command=command_line())
+    log.info("report: %s", Path(config.out) / "report.html")
+    if ends.asked:
+        raise Stopped(ends.asked[0])
 
 
 def check(config: Config, effects: str) -> None:
@@ -133,7 +140,8 @@ def check(config: Config, effects: str) -> None:
         raise ConfigError(["check= compares one quantity; give positions or torques"])
     if config.reference is not None or config.calibrate == "usual":
         raise ConfigError(["check= fits nothing; leave reference= and calibrate= out"])
-    with new_folder(config.out) as out:
+    check_new_folder(Path(config.out))
+    with whole_folder(config.out) as part:
         found = check_effects(
             config.model,
             config.data,
@@ -148,7 +156,7 @@ def check(config: Config, effects: str) -> None:
         )
         for line in (*(f"note: {note}" for note in found.notes), *found.lines()):
             log.info("%s", line)
-        write_json(out / "check.json", found.as_json())
+        write_json(part / "check.json", found.as_json())
 
 
 @contextmanager
@@ -178,46 +186,46 @@ def progress_bar() -> Iterator[Callable[[str, float], None]]:
             bar.close()
 
 
-@contextmanager
-def new_folder(out: str) -> Iterator[Path]:
-    """Make the output folder, and take it away again where nothing came into it."""
-    path = Path(out)
-    check_new_folder(path)
-    made = [folder for folder in (path, *path.parents) if not folder.exists()]
-    try:
-        path.mkdir(parents=True)
-    except OSError as error:
-        raise RlcoError(
-            f"output folder {out!r} cannot be made ({error.strerror}); give another "
-            "out=DIR."
-        ) from error
-    try:
-        yield path
-    finally:
-        for folder in made:  # so that the same command may run again
-            if any(folder.iterdir()):
-                break
-            folder.rmdir()
+@dataclass
+class Ends:
+    """What signals that ask for an end do.
+
+    Attributes:
+        asked: Those that came.
+        held: Whether they wait for what is being done.
+    """
+
+    asked: list[int] = field(default_factory=list)
+    held: bool = False
 
 
 @contextmanager
-def one_interrupt() -> Iterator[None]:
-    """Let a Ctrl-C end the search, and the next ones not the writing."""
-    last = [-_WRITING]
+def one_interrupt() -> Iterator[Ends]:
+    """Let a Ctrl-C, or a signal that asks the same, end the search; the next nothing.
 
-    def handle(_number: int, _frame: FrameType | None) -> None:
+    Once ``held`` is set, the first one waits, too.
+    """
+    ends, last = Ends(), -_WRITING
+
+    def handle(number: int, _frame: FrameType | None) -> None:
+        nonlocal last
         now = time.monotonic()
-        if now - last[0] < _WRITING:
+        ends.asked.append(number)
+        if ends.held or now - last < _WRITING:
             log.info("writing the best so far, it takes some seconds")
             return
-        last[0] = now
-        raise KeyboardInterrupt
+        last = now
+        raise Stopped(number)
 
-    before = signal.signal(signal.SIGINT, handle)
+    before = {number: signal.getsignal(number) for number in ENDS}
+    for number, known in before.items():
+        if number == signal.SIGINT or known is not signal.SIG_IGN:  # as under nohup
+            signal.signal(number, handle)
     try:
-        yield
+        yield ends
     finally:
-        signal.signal(signal.SIGINT, before)
+        for number, known in before.items():
+            signal.signal(number, known)
 
 
 if __name__ == "__main__":

@@ -4,6 +4,7 @@
 pretrained_model task=push_cube real_demos=demos/real
     lerobot-eval --policy.path=outputs/lerobot_co_train/RUN/lerobot/checkpoints/last/\
 pretrained_model --env.type=rlco --env.task=push_cube --env.camera=front
+    uv run torchrun --nproc-per-node=2 recipes/lerobot_co_train.py ... launch=torchrun
 
 L = L_PPO(sim) + beta L_BC(D_real), beta = real_coeff (RL-Co, arXiv 2602.12628). The
 checkpoint must solve the task now and then in the simulator before this can help:
@@ -20,19 +21,22 @@ from typing import TYPE_CHECKING, Any, Literal
 from rlco.errors import ConfigError
 from rlco.run import Run, run_recipe
 from rlco.runs.config import REQUIRED, folder_name, option
+from rlco.training.distributed.launch import LearnersOptions
 from rlco.training.options.policy_options import LARGEST_LR
 from rlco.training.options.training_domain_options import TrainingDomainOptions
 
 if TYPE_CHECKING:
     from rlco.physics.spec.domain import Domain
     from rlco.policies.vla.lerobot.policy import LeRobotPolicy
+    from rlco.training.distributed.following import FollowingRun
+    from rlco.training.distributed.ranks import Ranks
     from rlco.training.large_learner import LargeLearner
 
 log = logging.getLogger("rlco.lerobot_co_train")
 
 
 @dataclass
-class Config(TrainingDomainOptions):
+class Config(LearnersOptions, TrainingDomainOptions):
     """Options of lerobot_co_train.py."""
 
     name: str = option(
@@ -230,7 +234,12 @@ def load(config: Config) -> tuple[Any, LeRobotPolicy, Any]:
 
 
 def make_learner(
-    config: Config, policy: LeRobotPolicy, critic: Any, real: Any, rows: int
+    config: Config,
+    policy: LeRobotPolicy,
+    critic: Any,
+    real: Any,
+    rows: int,
+    ranks: Ranks | None = None,
 ) -> LargeLearner:
     """Put loss, minibatches and optimisers around a policy and its critic."""
     from rlco.losses import CoTrainingLoss, ImitationLoss
@@ -243,21 +252,27 @@ def make_learner(
         None if real is None else ImitationLoss(policy, functional=False),
         real_coeff=0.0 if real is None else config.real_coeff,
     )
-    return make_large_learner(config, loss, policy, critic, real, rows=rows)
+    given = {"rows": rows, "ranks": ranks}
+    return make_large_learner(config, loss, policy, critic, real, **given)
 
 
 def train(
     config: Config,
-    run: Run,
+    run: Run | FollowingRun,
     checkpoint: Any,
     policy: LeRobotPolicy,
     real: Any,
     domains: dict[str, Domain],
+    ranks: Ranks,
 ) -> None:
-    """Train, and write LeRobot checkpoints to the run's folder ``lerobot``."""
+    """Train, and write LeRobot checkpoints to the run's folder ``lerobot``.
+
+    Of several ranks the first evaluates and saves.
+    """
     from rlco.collectors import check_signal, make_collector
     from rlco.evaluation import evaluation_envs, success_rates
     from rlco.policies.vla.prefix_critic import PrefixCritic, add_next_summaries
+    from rlco.training.distributed.launch import own_options
     from rlco.training.iterations import co_train
     from rlco.training.lerobot_stage import restore_beside
     from rlco.training.stage_two import rollout_rows
@@ -266,16 +281,19 @@ def train(
     if config.advantage == "gae":
         critic = PrefixCritic(policy.model.summary_size).to(policy.device)
     restore_beside(config.policy, critic=critic, noise=policy.noise)
-    rows = rollout_rows(config, policy.executed)
-    learner = make_learner(config, policy, critic, real, rows)
+    own = own_options(config, ranks)
+    rows = rollout_rows(own, policy.executed)
+    learner = make_learner(own, policy, critic, real, rows, ranks)
+    run.step = ranks.from_lead(run.step)
     collector = make_collector(
-        config,
+        own,
         policy,
         critic,
         chunk=policy.executed,
         image_size=policy.inputs.image_size,
         renderer=config.renderer,
         prepare=partial(add_next_summaries, summary=policy.new_summary),
+        ranks=ranks,
     )
     episodes = config.eval_episodes
     envs = evaluation_envs(
@@ -290,19 +308,24 @@ def train(
         before = success_rates(policy, envs, episodes, 0)
         run.log_metrics(0, {"frames": 0} | before)
     for iteration, row in co_train(
-        config, run, collector, learner, check_first=check_signal
+        config, run, collector, learner, check_first=check_signal, ranks=ranks
     ):
         last = iteration == config.iterations
         if iteration % config.eval_every == 0 or last:
             row |= success_rates(policy, envs, episodes, iteration)
-        if iteration % config.save_every == 0 and not last:
+        if iteration % config.save_every == 0 and not last and ranks.leads:
             save(config, run, checkpoint, learner, iteration)
-    save(config, run, checkpoint, learner, config.iterations)
+    if ranks.leads:
+        save(config, run, checkpoint, learner, config.iterations)
     collector.close()
 
 
 def save(
-    config: Config, run: Run, checkpoint: Any, learner: LargeLearner, iteration: int
+    config: Config,
+    run: Run | FollowingRun,
+    checkpoint: Any,
+    learner: LargeLearner,
+    iteration: int,
 ) -> None:
     """Write a folder that LeRobot takes back, unless an interrupted run has."""
     from lerobot.common.train_utils import update_last_checkpoint
@@ -332,8 +355,12 @@ def main(config: Config) -> None:
     """Check everything, train, and say where the checkpoint is."""
     from rlco.evaluation import evaluation_domains
     from rlco.physics.effects import load_code
+    from rlco.training.distributed.following import FollowingRun
+    from rlco.training.distributed.launch import check_launch, learners, take_gpu
 
     # What is wrong shows before a run is made.
+    check_launch(config, "lerobot_co_train")
+    take_gpu(config)
     load_code(config.effects_code)
     evaluated = config.eval_domains if config.eval_episodes else []
     domains = evaluation_domains(
@@ -343,8 +370,14 @@ def main(config: Config) -> None:
         train_sample=config.train_sample,
     )
     checkpoint, policy, real = load(config)
-    with Run(config, "lerobot_co_train") as run:
-        train(config, run, checkpoint, policy, real, domains)
+    given = (checkpoint, policy, real)
+    with learners(config, policy.device) as ranks:
+        if not ranks.leads:
+            with FollowingRun(config) as following:
+                train(config, following, *given, {}, ranks)
+            return
+        with Run(config, "lerobot_co_train") as run:
+            train(config, run, *given, domains, ranks)
 
 
 if __name__ == "__main__":

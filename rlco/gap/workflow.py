@@ -11,7 +11,6 @@ from pathlib import Path
 
 import mujoco
 
-from rlco.errors import OutputExistsError
 from rlco.gap.calibrate.summary import Before, Summary
 from rlco.gap.compare.comparisons import (
     Comparison,
@@ -53,7 +52,7 @@ from rlco.gap.report.verdict_text import verdict_lines, where_lines
 from rlco.gap.search.find_gap import find_gap
 from rlco.gap.torques_beside import torque_warning, torques_beside
 from rlco.physics.effects import load_code
-from rlco.runs.whole_files import write_json, write_text
+from rlco.runs.whole_files import whole_folder, write_json, write_text
 
 Progress = Callable[[str, float], None]
 
@@ -158,6 +157,9 @@ class Finding:
     def write(self, folder: str | Path, *, command: str = "") -> Path:
         """Write the reports, the corrected model and the motions to record next.
 
+        The folder is there with all of them or not at all: they are written beside it,
+        in ``FOLDER.unfinished``, which is renamed once it is on the disk.
+
         Args:
             folder: A folder that is new, or empty.
             command: The command line, which the report repeats.
@@ -167,15 +169,19 @@ class Finding:
 
         Raises:
             OutputExistsError: The folder is not empty.
+            RlcoError: It cannot be made, or a process that was ended has left a part of
+                it, which is to be taken away first.
         """
+        with whole_folder(folder) as part:
+            self.write_files(part, command=command)
+        return Path(folder) / "report.html"
+
+    def write_files(self, folder: Path, *, command: str = "") -> None:
+        """Write one file after another, as `write` does, into an existing folder."""
         # matplotlib takes a while to import, which a search need not wait for.
         from rlco.gap.report.film import film_of
         from rlco.gap.report.report_html import Page, page
 
-        folder = Path(folder)
-        if folder.exists() and any(folder.iterdir()):
-            raise OutputExistsError(folder)
-        folder.mkdir(parents=True, exist_ok=True)
         rows = [motion.save(folder) for motion in self.motions]
         content = report(self.verdict, self.where, self.known, rows)
         content |= compared_json(self.comparisons, self.model.model)
@@ -217,7 +223,6 @@ class Finding:
             self.known,
         )
         write_text(folder / "report.html", page(source))
-        return folder / "report.html"
 
     def _corrected(self) -> Verdict:
         """Return the verdict with the calibration among its effects."""

@@ -1,17 +1,25 @@
-"""Files that are written whole or not at all; no torch."""
+"""Files and folders that are written whole or not at all; no torch."""
 
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
+import logging
 import os
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from rlco.errors import OutputExistsError, RlcoError
 from rlco.files import shown
+
+log = logging.getLogger(__name__)
+
+#: After the name of a folder that is being written.
+UNFINISHED = ".unfinished"
 
 
 def write_text(path: Path, text: str) -> None:
@@ -81,6 +89,99 @@ def check_new_folder(path: Path) -> None:
         f"output folder {shown(str(path))} cannot be made ({problem}); give another "
         "out=DIR."
     )
+
+
+@contextmanager
+def whole_folder(path: str | Path) -> Iterator[Path]:
+    """Give a folder to write into, which gets its name when all of it is on the disk.
+
+    Until then it lies beside that name, as ``NAME.unfinished``, and no other process
+    gets it. What an error or a kill leaves in it stays there, under that name.
+
+    Args:
+        path: The folder's name: of none that exists, or of one that is empty.
+
+    Raises:
+        OutputExistsError: There is something already, or another process was first.
+        RlcoError: It cannot be made, another process writes it, or one that did not
+            end has written a part of it.
+
+    Example:
+        >>> import tempfile
+        >>> place = Path(tempfile.mkdtemp()) / "report"
+        >>> with whole_folder(place) as part:
+        ...     _ = (part / "a.txt").write_text("a")
+        ...     part.name, place.exists()
+        ('report.unfinished', False)
+        >>> [file.name for file in place.iterdir()]
+        ['a.txt']
+    """
+    target = Path(path).resolve()
+    if target.exists() and not _is_empty(target):
+        raise OutputExistsError(path)
+    part = target.with_name(target.name + UNFINISHED)
+    made = [folder for folder in (part, *part.parents) if not folder.exists()]
+    lock = _claimed(part, path)
+    try:
+        yield part
+        sync_tree(part)
+        _rename(part, target, path)
+    finally:
+        os.close(lock)
+        _remove_empty([part, *made])
+        if part.exists():
+            log.warning("what was written until then is in %s", part)
+    sync_folder(target.parent)
+
+
+def _is_empty(path: Path) -> bool:
+    return path.is_dir() and not any(path.iterdir())
+
+
+def _claimed(part: Path, path: str | Path) -> int:
+    """Make a folder and lock it for this process; return what unlocks it if closed."""
+    try:
+        part.mkdir(parents=True, exist_ok=True)
+        lock = os.open(part, os.O_RDONLY | os.O_DIRECTORY)
+    except OSError as error:
+        raise RlcoError(
+            f"output folder {shown(str(path))} cannot be made ({error.strerror}); give "
+            "another out=DIR."
+        ) from error
+    problem = None
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        problem = "is being written by another process; wait for it to end"
+    else:
+        if any(part.iterdir()):
+            problem = (
+                "holds what was written by a process that did not end; take it away"
+            )
+    if problem is not None:
+        os.close(lock)
+        raise RlcoError(f"{shown(str(part))} {problem}, or give another out=DIR.")
+    return lock
+
+
+def _rename(part: Path, target: Path, path: str | Path) -> None:
+    try:
+        part.rename(target)  # an empty folder is replaced
+    except OSError as error:
+        if error.errno in (errno.EEXIST, errno.ENOTEMPTY, errno.ENOTDIR):
+            raise OutputExistsError(path) from error
+        raise
+
+
+def _remove_empty(folders: list[Path]) -> None:
+    """Remove folders, inner ones first, up to one that holds something."""
+    for folder in folders:
+        try:
+            folder.rmdir()
+        except FileNotFoundError:
+            continue
+        except OSError:
+            return
 
 
 def remove_parts(path: Path) -> None:

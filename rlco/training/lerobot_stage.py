@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from rlco.losses import CoTrainingLoss
     from rlco.physics.spec.task import Task
     from rlco.policies.vla.lerobot.policy import LeRobotPolicy
+    from rlco.training.distributed.ranks import Ranks
     from rlco.training.large_learner import LargeLearner
 
 
@@ -95,6 +96,7 @@ def make_large_learner(
     real: ReplayBuffer | None,
     *,
     rows: int,
+    ranks: Ranks | None = None,
 ) -> LargeLearner:
     """Return what follows the loss: minibatches of rollouts, and an optimiser each.
 
@@ -105,12 +107,14 @@ def make_large_learner(
         critic: Its critic, None with critic-free advantages.
         real: The anchor's demonstrations; None without one.
         rows: Decisions of a rollout.
+        ranks: The processes that learn together, of which the options are one's.
     """
     import torch
     from torchrl.data import LazyTensorStorage, ReplayBuffer
     from torchrl.envs.transforms import DeviceCastTransform
 
     from rlco.data import SimRealReplayBuffer
+    from rlco.training.distributed.ranks import Ranks
     from rlco.training.large_learner import LargeLearner
     from rlco.training.master_weights import MasterWeightAdamW
 
@@ -135,4 +139,5 @@ def make_large_learner(
         minibatch=options.minibatch,
         max_grad_norm=options.max_grad_norm,
         accumulate=options.accumulate,
+        ranks=Ranks() if ranks is None else ranks,
     )

@@ -188,8 +188,11 @@ def test_an_effect_of_ones_own_is_found_and_torch_is_not_needed(tmp_path: Path) 
     assert effect["parameters"]["drag"]["value"] == pytest.approx(0.25, rel=0.1)
 
 
-def test_ctrl_c_writes_the_best_so_far_however_often(
-    case: list[str], tmp_path: Path
+@pytest.mark.parametrize(
+    ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+)
+def test_ctrl_c_or_sigterm_writes_the_best_so_far_however_often(
+    case: list[str], tmp_path: Path, number: signal.Signals, status: int
 ) -> None:
     folder = tmp_path / "out"
     process = subprocess.Popen(
@@ -200,10 +203,11 @@ def test_ctrl_c_writes_the_best_so_far_however_often(
         assert line, "it ended before it began to search"
     time.sleep(0.5)
     for _ in range(3):
-        process.send_signal(signal.SIGINT)
+        process.send_signal(number)
         time.sleep(0.2)
     told = process.stderr.read()
-    assert process.wait() == 130, told
+    assert process.wait() == status, told
+    assert tree(tmp_path).keys() == {f"out/{name}" for name in tree(folder)}
     report = json.loads((folder / "report.json").read_text())
     assert report["complete"] is False
     assert "stopped" in (folder / "report.html").read_text("utf-8")
@@ -211,16 +215,49 @@ def test_ctrl_c_writes_the_best_so_far_however_often(
     assert (folder / "effects.yaml").exists()
 
 
-def test_only_the_first_ctrl_c_ends_what_runs() -> None:
+def test_only_the_first_ctrl_c_ends_what_runs_and_none_the_writing() -> None:
     find_gap = importlib.import_module("find_gap")
     # A shell's background job is started deaf to Ctrl-C.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
-        with find_gap.one_interrupt():
+        with find_gap.one_interrupt() as ends:
             with pytest.raises(KeyboardInterrupt):
                 signal.raise_signal(signal.SIGINT)
-            signal.raise_signal(signal.SIGINT)  # while the best so far is written
+            signal.raise_signal(signal.SIGTERM)  # while the best so far is written
+        assert ends.asked == [signal.SIGINT, signal.SIGTERM]
+        with find_gap.one_interrupt() as ends:
+            ends.held = True
+            signal.raise_signal(signal.SIGTERM)  # while what was found is written
+        assert ends.asked == [signal.SIGTERM]
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_what_a_killed_search_left_is_begun_anew_or_refused(
+    capsys: Capture, case: list[str], tmp_path: Path
+) -> None:
+    folder, part = tmp_path / "out", tmp_path / "out.unfinished"
+    process = subprocess.Popen(
+        command(case, folder), env=ONE_THREAD, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stderr is not None
+    while "before any fit" not in (line := process.stderr.readline()):
+        assert line, "it ended before it began to search"
+    line = refused(capsys, "find_gap", *case, f"out={folder}")
+    assert "out.unfinished' is being written by another process" in line
+    process.kill()
+    process.communicate()
+    assert not folder.exists()
+    assert tree(part) == {}
+    (part / "report.json").write_text("half")  # as one killed while it wrote leaves it
+    line = refused(capsys, "find_gap", *case, f"out={folder}")
+    assert (
+        "out.unfinished' holds what was written by a process that did not end" in line
+    )
+    assert tree(tmp_path) == {"out.unfinished/report.json": b"half"}
+    (part / "report.json").unlink()
+    start("find_gap", *case, f"out={folder}", "threads=1")
+    assert not part.exists()
+    assert (folder / "effects.yaml").exists()

@@ -14,9 +14,29 @@ from rlco.errors import ConfigError
 from rlco.runs.config import RunOptions, option
 
 if TYPE_CHECKING:
+    import torch
+
     from rlco.training.distributed.ranks import Ranks
 
-_START = "torchrun --nproc-per-node=2 recipes/rl_co.py launch=torchrun ..."
+
+@dataclass
+class LearnersOptions(RunOptions):
+    """The option that says whether one process learns or several."""
+
+    launch: Literal["local", "torchrun"] = option(
+        "local",
+        "where it runs: this process; torchrun: the learners that torchrun has "
+        "started, between which num_envs, minibatch and real_rows are divided",
+        may_change=True,
+    )
+
+    @property
+    def workers(self) -> None:
+        """No Ray: each learner plays."""
+
+    @property
+    def ray_address(self) -> None:
+        """No Ray."""
 
 
 @dataclass
@@ -47,9 +67,6 @@ class LaunchOptions(RunOptions):
 class DividedOptions(Protocol):
     """Options whose numbers are of all ranks together."""
 
-    launch: Literal["local", "ray", "torchrun"]
-    workers: int | None
-    ray_address: str | None
     num_envs: int
     minibatch: int
     real_rows: int
@@ -57,9 +74,25 @@ class DividedOptions(Protocol):
     group_size: int
     seed: int
 
+    @property
+    def launch(self) -> Literal["local", "ray", "torchrun"]:
+        """Where it runs."""
 
-def check_launch(options: DividedOptions) -> None:
+    @property
+    def workers(self) -> int | None:
+        """Processes of a Ray cluster that play."""
+
+    @property
+    def ray_address(self) -> str | None:
+        """Of that cluster."""
+
+
+def check_launch(options: DividedOptions, recipe: str = "rl_co") -> None:
     """Check that a training was started as its options say, and can be divided so.
+
+    Args:
+        options: The options.
+        recipe: Which they are of.
 
     Raises:
         ConfigError: It was not; every problem is reported.
@@ -68,7 +101,8 @@ def check_launch(options: DividedOptions) -> None:
     problems = _without_ray(options)
     if options.launch == "torchrun" and started is None:
         problems.append(
-            f"launch=torchrun needs what torchrun tells its processes; start {_START}"
+            "launch=torchrun needs what torchrun tells its processes; start torchrun "
+            f"--nproc-per-node=2 recipes/{recipe}.py launch=torchrun ..."
         )
     if options.launch != "torchrun" and started is not None:
         problems.append(
@@ -159,9 +193,25 @@ def own_options[C: DividedOptions](options: C, ranks: Ranks) -> C:
     return replace(options, **parts)  # type: ignore[type-var]
 
 
+def take_gpu(options: DividedOptions) -> None:
+    """Let "cuda" be a GPU of this process's own, where its machine has one for each."""
+    from rlco.training.distributed.ranks import gpus_for_all, local_rank
+
+    if options.launch == "torchrun" and gpus_for_all():
+        import torch
+
+        torch.cuda.set_device(local_rank())
+
+
 @contextmanager
-def learners(options: DividedOptions) -> Iterator[Ranks]:
+def learners(
+    options: DividedOptions, device: torch.device | None = None
+) -> Iterator[Ranks]:
     """Connect this process with those that learn with it, where there are any.
+
+    Args:
+        options: Say whether there are.
+        device: Where the policy computes; None: the CPU.
 
     Raises:
         LostProcessError: One of them ended before the others.
@@ -176,7 +226,8 @@ def learners(options: DividedOptions) -> Iterator[Ranks]:
     if options.launch != "torchrun":
         yield Ranks(seed=options.seed)
         return
-    ranks = join_ranks(options.seed)
+    on_gpu = device is not None and device.type == "cuda"
+    ranks = join_ranks(options.seed, gpus=on_gpu)
     if not ranks.leads:  # they would say what the first says
         logging.getLogger("rlco").setLevel(logging.WARNING)
     try:

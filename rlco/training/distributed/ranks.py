@@ -8,6 +8,7 @@ the run's folder. A process alone is one rank, for which nothing here does anyth
 from __future__ import annotations
 
 import gc
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from datetime import timedelta
@@ -140,14 +141,28 @@ class Ranks:
         return dict(zip(numbers, (values * scale).tolist(), strict=True))
 
 
-def join_ranks(seed: int) -> Ranks:
+def join_ranks(seed: int, *, gpus: bool = False) -> Ranks:
     """Connect the processes that torchrun has started, over gloo.
 
     Args:
         seed: Of the run.
+        gpus: Whether the policy computes on one. What lies there then goes over NCCL,
+            if each process has one of its own.
     """
-    dist.init_process_group("gloo", timeout=PATIENCE)
+    backend = "cpu:gloo,cuda:nccl" if gpus and gpus_for_all() else "gloo"
+    dist.init_process_group(backend, timeout=PATIENCE)
     return Ranks(dist.get_rank(), dist.get_world_size(), seed)
+
+
+def local_rank() -> int:
+    """Return which of this machine's processes this one is, counted from 0."""
+    return int(os.environ.get("LOCAL_RANK", "0"))
+
+
+def gpus_for_all() -> bool:
+    """Return whether this machine has a GPU for each process that torchrun started."""
+    here = int(os.environ.get("LOCAL_WORLD_SIZE", "1"))
+    return torch.cuda.is_available() and torch.cuda.device_count() >= here
 
 
 class Connected(Protocol):
