@@ -74,7 +74,7 @@ def drawn(case: Case) -> tuple[tuple[Hidden, ...], tuple[Hidden, ...]]:
     Example:
         >>> before, change = drawn(plan(0)[2])
         >>> [one.name for one in (*before, *change)]
-        ['coulomb_friction', 'viscous_damping']
+        ['actuator_gain', 'viscous_damping']
         >>> before[0].target != change[0].target
         True
     """
