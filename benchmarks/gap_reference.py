@@ -14,7 +14,6 @@ Seeds below 1000 are for development; the benchmark's begin at 21000.
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -24,10 +23,10 @@ from typing import Any
 
 import numpy as np
 from gap_arms import Arm, Array, make_arm
+from gap_changes import Case, Config, Row, row_of, run
 from gap_motions import MOTIONS, Motion, commands
 from gap_plant import Hidden, make_plant
 from gap_recording import Recorded, read_out, record
-from gap_scoring import share_of
 from gap_sizes import draw, usual
 
 from rlco.gap.calibrate.numbers import Calibratable
@@ -65,32 +64,14 @@ POSITIONS = (
     "joint_offset",
 )
 TORQUES = ("payload", "coulomb_friction", "torque_scale", "torque_bias")
-_SIZE = 0.15  # relative error that is wanted
-Row = dict[str, Any]
 
 
 @dataclass
-class Config:
+class ReferenceConfig(Config):
     """Options of gap_reference.py."""
 
     out: str = option("outputs/gap_reference", "folder; finished cases are kept")
-    groups: list[str] = option([], "only cases of these groups")
-    arms: list[str] = option([], "only cases of these robots")
     seed: int = option(BENCHMARK_SEED, "seed of the first case", minimum=0)
-    minutes: float = option(600.0, "start no case after so many", minimum=0.0)
-    every: int = option(1, "take every so many cases", minimum=1)
-
-
-@dataclass(frozen=True)
-class Case:
-    """A case: the robot, what changes, and what is compared."""
-
-    name: str
-    group: str
-    arm: str
-    effects: tuple[str, ...]
-    torques: bool
-    seed: int
 
 
 def plan(first_seed: int) -> list[Case]:
@@ -168,30 +149,8 @@ def run_case(case: Case) -> Row:
     assert summary is not None
     assert before is not None
     calibration = summary.calibration
-    found = [
-        {
-            "name": one.name,
-            "target": one.target,
-            "values": {k: v.value for k, v in one.parameters.items()},
-            "low": {k: v.low for k, v in one.parameters.items()},
-            "high": {k: v.high for k, v in one.parameters.items()},
-            "rivals": [[r.name, r.target] for r in one.rivals],
-        }
-        for one in verdict.effects
-    ]
-    truth = [
-        {"name": h.name, "target": h.target, "values": dict(h.parameters)}
-        for h in hidden
-    ]
-    row: Row = {
-        "name": case.name,
-        "group": case.group,
-        "verdict": verdict.verdict,
-        "found": found,
-        "truth": truth,
-        "shows": round(float(shows.max()), 2),
-        "share": verdict.unexplained["share"],
-        "closest": [[c.name, c.target, s] for c, s in verdict.closest],
+    row = row_of(case, verdict, hidden, float(shows.max()))
+    return row | {
         "cost": [calibration.cost_before, calibration.cost],
         "noise": (before.unknown / prepared.base.noise).round(2).tolist(),
         "after": (before.after / before.unknown).round(2).tolist(),
@@ -199,7 +158,6 @@ def run_case(case: Case) -> Row:
         "cpu": round(time.process_time() - cpu, 1),
         "cpu_calibration": round(calibrated, 1),
     }
-    return row | judged(row)
 
 
 def _shows(
@@ -220,31 +178,6 @@ def _shows(
             column = arm.joints.index(str(effect.target))
             other[:, column] *= effect["factor"]
     return np.asarray(np.sqrt(np.mean((other - one) ** 2, axis=0)))
-
-
-def judged(row: Row) -> Row:
-    """Return whether the names are exact, and the relative errors of their sizes."""
-    wanted = {(t["name"], t["target"]): t["values"] for t in row["truth"]}
-    named = {(f["name"], f["target"]): f["values"] for f in row["found"]}
-    in_class = all(
-        any(
-            key == (f["name"], f["target"]) or list(key) in f["rivals"]
-            for f in row["found"]
-        )
-        for key in wanted
-    )
-    errors = []
-    for key in wanted.keys() & named.keys():
-        parameter, value = next(iter(wanted[key].items()))
-        away = value - 1.0 if parameter == "factor" else value
-        errors.append(abs(named[key][parameter] - value) / abs(away))
-    exact = wanted.keys() == named.keys() if wanted else not named
-    return {
-        "exact": exact,
-        "in_class": in_class and len(named) == len(wanted),
-        "errors": errors,
-        "sized": exact and all(error <= _SIZE for error in errors),
-    }
 
 
 def _drawn(
@@ -327,55 +260,10 @@ def _loaded(arm: Arm) -> LoadedModel:
         return load_model(path)
 
 
-def table(rows: Sequence[Row]) -> str:
-    """Return the results in Markdown."""
-    lines = [
-        "| group | cases | names exact | or in the class | exact, size within 15 % "
-        "| the same of those that show | named | median CPU s |",
-        "|---" * 8 + "|",
-    ]
-    kinds = {row["group"]: None for row in rows}
-    for group in kinds:
-        inside = [row for row in rows if row["group"] == group]
-        cells = [
-            share_of([row[key] for row in inside])
-            for key in ("exact", "in_class", "sized")
-        ]
-        # No recording can show what changes less than its noise.
-        cells.append(share_of([row["sized"] for row in inside if row["shows"] >= 1.0]))
-        named = share_of([bool(row["found"]) for row in inside])
-        seconds = float(np.median([row["cpu"] for row in inside]))
-        lines.append(
-            f"| {group} | {len(inside)} | {' | '.join(cells)} | {named} | "
-            f"{seconds:.0f} |"
-        )
-    return "\n".join(lines)
-
-
-def main(config: Config) -> None:
+def main(config: ReferenceConfig) -> None:
     """Run the cases that are not there yet, and print the table."""
-    out = Path(config.out)
-    out.mkdir(parents=True, exist_ok=True)
-    book = out / "results.jsonl"
-    rows = (
-        [json.loads(x) for x in book.read_text().splitlines()] if book.exists() else []
-    )
-    done = {row["name"] for row in rows}
-    until = time.monotonic() + 60.0 * config.minutes
-    for case in plan(config.seed)[:: config.every]:
-        if config.groups and case.group not in config.groups:
-            continue
-        if config.arms and case.arm not in config.arms:
-            continue
-        if case.name in done or time.monotonic() > until:
-            continue
-        row = run_case(case)
-        rows.append(row)
-        with book.open("a") as file:
-            file.write(json.dumps(row) + "\n")
-        print(case.name, row["verdict"], row["exact"], row["errors"], flush=True)
-    print(table(rows))
+    run(config, plan(config.seed), run_case)
 
 
 if __name__ == "__main__":
-    run_recipe(main, Config)
+    run_recipe(main, ReferenceConfig)

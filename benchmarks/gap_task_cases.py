@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import argparse
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cache, partial
 from pathlib import Path
@@ -44,7 +44,7 @@ _HOLD = 15  # control steps kept after the task is solved
 SENSORS = Domain("logged", sensors=Sensors(state_noise=0.0003, object_noise=0.001))
 # What differs by less than this many times the sensors' noise nobody could see.
 _VISIBLE = 1.0
-_PUSHED, _PLACED, _SLIDE = "red_cube_main", "red_main", "cabinet_slide"
+PUSHED, PLACED, SLIDE = "red_cube_main", "red_main", "cabinet_slide"
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def plan(first_seed: int, rounds: int = 1) -> list[Case]:
     return list(_cases(first_seed, rounds))
 
 
-def _size(random: np.random.Generator, low: float, high: float) -> float:
+def size(random: np.random.Generator, low: float, high: float) -> float:
     """Draw a size, as likely in each factor of two."""
     return round(float(np.exp(random.uniform(np.log(low), np.log(high)))), 4)
 
@@ -78,7 +78,7 @@ def _cases(first_seed: int, rounds: int) -> Iterator[Case]:
     for number in range(rounds):
         random = np.random.default_rng([first_seed, number])
 
-        some = partial(_size, random)
+        some = partial(size, random)
 
         def at(name: str, target: str | None, **numbers: float) -> Hidden:
             return Hidden(name, target, numbers)
@@ -86,7 +86,7 @@ def _cases(first_seed: int, rounds: int) -> Iterator[Case]:
         joint = f"robot0_joint{random.integers(1, 7)}"
         late = 0.05 * float(random.integers(1, 3))
         slippery = at("contact_friction", None, friction=some(0.12, 0.25))
-        heavy = at("object_mass", _PUSHED, factor=some(2.5, 5.0))
+        heavy = at("object_mass", PUSHED, factor=some(2.5, 5.0))
         planned: list[tuple[str, tuple[Hidden, ...]]] = [
             ("push_cube", ()),
             ("push_cube", (heavy,)),
@@ -99,19 +99,19 @@ def _cases(first_seed: int, rounds: int) -> Iterator[Case]:
             ("pick_and_place", ()),
             (
                 "pick_and_place",
-                (at("object_mass", _PLACED, factor=some(4.0, 8.0)),),
+                (at("object_mass", PLACED, factor=some(4.0, 8.0)),),
             ),
             ("pick_and_place", (at("command_delay", None, delay=late),)),
             ("open_drawer", ()),
             (
                 "open_drawer",
-                (at("coulomb_friction", _SLIDE, frictionloss=some(2.0, 6.0)),),
+                (at("coulomb_friction", SLIDE, frictionloss=some(2.0, 6.0)),),
             ),
-            ("open_drawer", (at("viscous_damping", _SLIDE, damping=some(15, 40)),)),
+            ("open_drawer", (at("viscous_damping", SLIDE, damping=some(15, 40)),)),
             ("close_drawer", ()),
             (
                 "close_drawer",
-                (at("coulomb_friction", _SLIDE, frictionloss=some(2.0, 6.0)),),
+                (at("coulomb_friction", SLIDE, frictionloss=some(2.0, 6.0)),),
             ),
         ]
         for task, effects in planned:
@@ -122,23 +122,28 @@ def _cases(first_seed: int, rounds: int) -> Iterator[Case]:
 
 def make_case(case: Case, folder: Path) -> dict[str, Any]:
     """Record a case into a folder, and return its truth."""
-    task = make_task(case.task)
-    hidden, shows = _record(case), 0.0
+    hidden, shows = play(case), 0.0
     if case.effects:
-        shows = _apart(hidden, _record(replace(case, effects=()), hidden))
+        shows = apart(hidden, play(replace(case, effects=()), hidden))
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "model.txt").write_text(f"robosuite:{case.task}\n")
-    write_lerobot(
-        folder / "data",
-        [episode.rows for episode in hidden],
-        task.control_frequency,
-        STATE_NAMES,
-        task.instructions[0],
-    )
-    _name_columns(folder / "data", task.environment_state_names)
+    write_demonstrations(folder / "data", case.task, hidden)
     truth = _truth(case, shows)
     (folder / "truth.json").write_text(json.dumps(truth, indent=1))
     return truth
+
+
+def write_demonstrations(folder: Path, task: str, episodes: Sequence[Episode]) -> None:
+    """Write demonstrations as a LeRobot v3 folder, each column by its own name."""
+    made = make_task(task)
+    write_lerobot(
+        folder,
+        [episode.rows for episode in episodes],
+        made.control_frequency,
+        STATE_NAMES,
+        made.instructions[0],
+    )
+    _name_columns(folder, made.environment_state_names)
 
 
 @dataclass(frozen=True)
@@ -154,7 +159,7 @@ def _robot(task: str) -> NativeStepper:
     return NativeStepper(make_task(task), SIM, num_envs=EPISODES, threads=1)
 
 
-def _record(case: Case, played: list[Episode] | None = None) -> list[Episode]:
+def play(case: Case, played: list[Episode] | None = None) -> list[Episode]:
     """Let the expert play, or play its actions once more; return the episodes."""
     task, robot = make_task(case.task), _robot(case.task)
     _hide(robot, case.effects)
@@ -234,7 +239,7 @@ def _hide(robot: NativeStepper, effects: tuple[Hidden, ...]) -> None:
     robot.randomise(everyone, fields, command_delay=delay)
 
 
-def _apart(some: list[Episode], others: list[Episode]) -> float:
+def apart(some: list[Episode], others: list[Episode]) -> float:
     """Return how far places part with the same actions, in sensors' noise."""
     away = [a.places - b.places for a, b in zip(some, others, strict=True)]
     size = np.sqrt((np.concatenate(away) ** 2).mean(axis=0))

@@ -1,4 +1,4 @@
-"""Logs of push_cube by its scripted expert, with a hidden mass or friction.
+"""Logs of push_cube by its scripted expert, with a hidden mass, friction or damping.
 
 What is hidden is written into the arrays of the compiled model, not by the effects that
 a search would apply. Built once for all tests: robosuite takes seconds.
@@ -57,6 +57,13 @@ def hidden_friction(friction: float) -> dict[str, Array]:
     all_of_it = stepper().model.geom_friction.copy()
     all_of_it[:, 0] = friction
     return {"geom_friction": all_of_it}
+
+
+def hidden_damping(joint: str, damping: float) -> dict[str, Array]:
+    model = stepper().model
+    every = model.dof_damping.copy()
+    every[model.joint(joint).dofadr[0]] += damping
+    return {"dof_damping": every}
 
 
 def record(

@@ -27,6 +27,7 @@ Library = Mapping[Candidate, tuple[Parameter, ...]]
 _SHORTER = 0.35  # fraction of a Gauss-Newton step that is tried after a failed one
 _JUMPS = (-4, -2, -1, 1, 2, 4)  # trial steps of parameters with a resolution
 _LEAST = 1e-3  # of the usual size; shorter steps do not update the Jacobian
+_OVER_JUMPS = 0.2  # of the usual size: a difference that contacts cannot dominate
 
 
 @dataclass(frozen=True)
@@ -72,7 +73,22 @@ def library_of(problem: Problem, exclude: Collection[str] = ()) -> Library:
             near = tuple(s for s in starts if first.low < s < first.high)
             if near:
                 library[candidate] = (replace(first, starts=near), *others)
+    if problem.has_outliers:
+        library = {c: tuple(map(_over_jumps, known)) for c, known in library.items()}
     return library
+
+
+def _over_jumps(parameter: Parameter) -> Parameter:
+    """Return a parameter with a wide step for its derivative.
+
+    Where a contact is made or missed, a residual jumps by an amount that does not
+    depend on the step. Divided by a short one it hides the change that is sought, and
+    every Gauss-Newton step is far too short. What has no effect until a limit is
+    reached may change by little at a time, and keeps its step.
+    """
+    if parameter.step or not parameter.scales:
+        return parameter
+    return replace(parameter, step=_OVER_JUMPS * usual_size(parameter))
 
 
 def _may_fall(friction: Parameter) -> Parameter:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from task_recordings import (
     CUBES,
     EPISODES,
+    hidden_damping,
     hidden_friction,
     hidden_mass,
     plain_log,
@@ -27,7 +28,8 @@ from rlco.gap.demos.replay.plants import Plants
 from rlco.gap.demos.replay.rollouts import Job, Rollouts, Start
 from rlco.gap.demos.replay.task_space import TaskSpaceProblem
 from rlco.gap.logs.log import Log
-from rlco.gap.search.fit import library_of
+from rlco.gap.search.fit import fit, library_of
+from rlco.gap.search.steps.start import start
 from rlco.physics.effects import AppliedEffect
 from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.spec.domain import SIM, STAND_IN, Domain
@@ -188,6 +190,15 @@ def test_a_hidden_friction_is_found() -> None:
     found = sizes(problem, [smoother(value) for value in values])
     assert values[int(np.argmin(found))] == 0.18
     assert found[3] > 1.05 * found[1]
+
+
+def test_a_hidden_damping_is_fitted_to_its_size_across_contacts() -> None:
+    joint, hidden = "robot0_joint2", 16.0
+    problem = problem_of(record(hidden_damping(joint, hidden))[0])
+    whiten = start(problem).setting.whiten
+    begin = with_effect("viscous_damping", joint, damping=9.0).effects
+    (found,) = fit(library_of(problem), [begin], whiten, steps=8, tolerance=1e-4)
+    assert found.effects[0].values[0] == pytest.approx(hidden, rel=0.05)
 
 
 def test_late_commands_and_a_wrong_encoder_are_told_apart_from_none() -> None:

@@ -9,10 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.optimize import least_squares
+from small_problems import arm_problem
 
 from rlco.gap.compare.problem import Candidate
 from rlco.gap.logs.log import Array
-from rlco.gap.search.fit import fit, linearise, with_values
+from rlco.gap.search.fit import fit, library_of, linearise, usual_size, with_values
 from rlco.physics.effects import AppliedEffect, Parameter
 
 ONE, OTHER = Candidate("one", "elbow"), Candidate("other", None)
@@ -179,3 +180,23 @@ def test_a_number_of_waves_is_differentiated_in_steps_that_they_stand() -> None:
     found = linearise({ONE: (count,)}, [effect], waves)
     # A share of the value, 1.5, would turn the ends of the path by half a wave.
     np.testing.assert_allclose(found.jacobian[0], path * np.cos(150 * path), atol=0.03)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_jumps_where_contacts_are_made_do_not_end_a_fit_on_its_way(seed: int) -> None:
+    problem = arm_problem(recordings=1, seconds=0.2)
+    problem.has_outliers = True
+    known = library_of(problem)
+    (candidate, (friction,)), *_ = known.items()
+    size, random = usual_size(friction), np.random.default_rng(seed)
+    rates, phases = random.uniform(300.0, 900.0, 40), random.uniform(0.0, 6.0, 40)
+    rates[8:] = 0.0  # rows that no contact moves
+
+    def formula(values: Array) -> Array:
+        part = values[0] / size
+        jumps = np.sign(np.sin(rates * part + phases))
+        return np.asarray(8.0 * MATRIX[:, 0] * (part - 0.8) + jumps)
+
+    begin = with_values(known, [candidate], np.array([0.4 * size]))
+    (found,) = fit(known, [begin], Counted(formula), steps=12, tolerance=1e-4)
+    assert values_of(found.effects)[0] == pytest.approx(0.8 * size, rel=0.08)
