@@ -321,7 +321,7 @@ class HeldOut:
 
 @dataclass(frozen=True)
 class FreeForm:
-    """A torque outside the library that does clearly better than the named effects.
+    """A torque or encoder's error outside the library, clearly better than the names.
 
     Attributes:
         target: The joint that it acts on.
@@ -331,6 +331,8 @@ class FreeForm:
         over_time: Times, recordings one after the other [s], and torques, (2, T).
         predicts: Whether it was fitted to the training recordings alone. Otherwise it
             takes any course over time, and was estimated in those held out, too.
+        of_encoder: Whether it is an error of the joint's encoder [rad or m], instead of
+            a torque, over its position alone.
     """
 
     target: str
@@ -339,6 +341,7 @@ class FreeForm:
     over_velocity: Array
     over_time: Array
     predicts: bool = True
+    of_encoder: bool = False
 
 
 @dataclass(frozen=True)

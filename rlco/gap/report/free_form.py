@@ -20,6 +20,12 @@ _HINTS = (
 )
 
 
+_OF_ENCODERS = (
+    "One wave a turn is a disc that is not centred; a slope, a scale; a step or a "
+    "bend, a worn track."
+)
+
+
 def free_form_section(free: FreeForm | None, unit: str) -> str:
     """Return what acts outside the library as HTML; empty where nothing does.
 
@@ -39,21 +45,30 @@ def free_form_section(free: FreeForm | None, unit: str) -> str:
 
 
 def free_form_figure(free: FreeForm, unit: str) -> Figure:
-    """Draw a torque over position, over velocity and over time.
+    """Draw a torque over position, velocity and time, an encoder's over position.
 
     Args:
-        free: The torque.
+        free: The torque or the error.
         unit: Of the joint's position, ``rad`` or ``m``.
     """
     torque = "force [N]" if unit == "m" else "torque [N m]"
-    figure, panels = new_figure(f"Outside the library, at {free.target}", 3, height=3.0)
-    lines = (free.over_position, free.over_velocity, free.over_time)
-    words = (f"position [{unit}]", f"velocity [{unit}/s]", "time [s]")
-    for axes, (x, y), word in zip(panels, lines, words, strict=True):
+    what = f"error of the encoder [{unit}]" if free.of_encoder else torque
+    lines = {
+        f"position [{unit}]": free.over_position,
+        f"velocity [{unit}/s]": free.over_velocity,
+        "time [s]": free.over_time,
+    }
+    lines = {word: line for word, line in lines.items() if line.size}
+    title = f"Outside the library, at {free.target}"
+    figure, panels = new_figure(title, len(lines), height=3.0)
+    for axes, (word, (x, y)) in zip(panels, lines.items(), strict=True):
         axes.axhline(0.0, color=QUIET, linewidth=0.8)
         axes.plot(x, y, color=CORRECTED, marker="o" if len(x) < 20 else None, ms=4)
         axes.set_xlabel(word)
-    panels[0].set_ylabel(torque)
+    panels[0].set_ylabel(what)
+    if free.of_encoder:
+        caption(figure, f"By how much the encoder reads too much. {_OF_ENCODERS}")
+        return figure
     caption(
         figure,
         "What the joint would have to be given besides. Over time, "

@@ -89,8 +89,9 @@ def next_steps(
         if motions:
             steps.append(_RECORD)
     if verdict.free_form is not None:
+        what = "error of the encoder" if verdict.free_form.of_encoder else "torque"
         steps.append(
-            f"Look at the torque at {verdict.free_form.target} that is drawn below; if "
+            f"Look at the {what} at {verdict.free_form.target} that is drawn below; if "
             "you know its shape, add it as an effect of your own."
         )
     return steps

@@ -69,9 +69,11 @@ def _outside(free: FreeForm) -> dict[str, object]:
         "velocity": free.over_velocity,
         "time": free.over_time,
     }
+    what = "error" if free.of_encoder else "torque"
     shape = {
-        f"over_{name}": {name: x.tolist(), "torque": y.tolist()}
+        f"over_{name}": {name: x.tolist(), what: y.tolist()}
         for name, (x, y) in lines.items()
+        if len(x)
     }
     return {
         "target": free.target,

@@ -203,6 +203,12 @@ def outside_line(free: FreeForm) -> str:
         'A torque of some shape over position and velocity at elbow, besides, leaves \
 40 % less error in held-out recordings: something outside the library acts there.'
     """
+    if free.of_encoder:
+        return (
+            f"An error of the encoder at {free.target}, of some shape over its "
+            f"position, besides, leaves {100 * free.gain:.0f} % less error in held-out "
+            "recordings: something outside the library acts there."
+        )
     if not free.predicts:
         return (
             f"A torque that takes any course over time at {free.target}, besides, "

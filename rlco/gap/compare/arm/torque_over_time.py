@@ -15,10 +15,11 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from rlco.gap.compare.arm.free_torque import hats, servo_gain
+from rlco.gap.compare.arm.encoder_error import encoder_error
+from rlco.gap.compare.arm.free_torque import servo_gain
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis, Integers
-from rlco.gap.compare.segments import command_steps, joint_velocity
+from rlco.gap.compare.segments import command_steps
 from rlco.gap.logs.log import Array
 from rlco.physics.effects.targets import actuator_of
 
@@ -31,7 +32,6 @@ _ROUGH = 3.0  # error of a torque as hats, over that in the median time, for whi
 _LARGE = 0.15  # the same over the largest torque
 _REMEMBERED = 0.8  # time in which an arm forgets a push [s]
 _SMALL = 0.05  # part of the usual size that is tried
-_QUANTILES = np.linspace(0.01, 0.99, 8)  # of the position: knots of its error
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def torque_over_time(
         np.concatenate(knots),
         torque,
         columns,
-        _misread(problem, joint),
+        _USUAL * encoder_error(problem, joint).moved,
     )
 
 
@@ -259,36 +259,3 @@ def _knots(problem: ArmRollouts) -> list[Array]:
         one.time[0] + spacing * np.arange(int(np.ceil(one.seconds / spacing)) + 1)
         for one in logs
     ]
-
-
-def at_times(
-    problem: ArmRollouts, joint: str, recording: Integers, time: Array
-) -> tuple[Array, Array]:
-    """Return position and velocity of a joint at times of recordings, (T,) both.
-
-    Args:
-        problem: The robot and its log.
-        joint: The joint.
-        recording: Recording of each time, (T,).
-        time: On its clock [s], (T,).
-    """
-    column = problem.log.joints.index(joint)
-    position, velocity = np.zeros(len(time)), np.zeros(len(time))
-    for index, one in enumerate(problem.log.recordings):
-        own = recording == index
-        path = np.asarray(one.position, dtype=float)[:, column]
-        position[own] = np.interp(time[own], one.time, path)
-        speed = joint_velocity(one)[:, column]
-        velocity[own] = np.interp(time[own], one.time, speed)
-    return position, velocity
-
-
-def _misread(problem: ArmRollouts, joint: str) -> Array:
-    """Return the change by an encoder's error at several positions, (P, N)."""
-    layout = problem.layout
-    own = np.flatnonzero(layout.channel == problem.log.joints.index(joint))
-    position, _ = at_times(problem, joint, layout.recording[own], layout.time[own])
-    knots = np.unique(np.quantile(position, _QUANTILES))
-    rows = np.zeros((len(knots), len(layout.channel)))
-    rows[:, own] = -_USUAL * hats(position, knots)
-    return rows

@@ -1,18 +1,20 @@
 """Doubt by a free form: would a torque of any shape do better than what is named?
 
 What is named, or the model where nothing is, is held against the same with a smooth
-torque of position and of velocity at one joint. Its amounts are fitted to the training
-recordings, linearly; held out it must do clearly better. An effect outside the library
-then is at work there, or a named one stands for it.
+torque of position and of velocity at one joint, and with a smooth error of its encoder
+over position. Its amounts are fitted to the training recordings, linearly; held out it
+must do clearly better. An effect outside the library then is at work there, or a named
+one stands for it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from rlco.gap.compare.arm.encoder_error import EncoderError, encoder_error
 from rlco.gap.compare.arm.free_torque import (
     FreeTorque,
     free_torque,
@@ -29,6 +31,8 @@ from rlco.gap.search.judge import NAMED, found, kind
 from rlco.gap.search.setting import Setting, training_first
 from rlco.gap.search.state import State
 
+Form = FreeTorque | EncoderError
+
 GAIN = 0.1  # share of the held-out error that a free form must remove to raise doubt
 _RIDGE = 1e-3  # of the largest amount's weight: what motion hardly shows stays small
 _SECOND = 1.0  # between knots of the torque over time [s]
@@ -44,14 +48,8 @@ def free_form(state: State) -> State:
     best = found(state)
     hypothesis = Hypothesis(best.effects)
     order = (*setting.train, *setting.heldout)
-    winner: tuple[float, FreeTorque, Array, Array] | None = None
-    for joint in problem.log.joints:
-        if isinstance(problem, TorqueLog):
-            free = _free_of_measured(problem, joint, sorted(order))
-        else:
-            free = free_torque(problem, hypothesis, joint, sorted(order))
-        if free is None:
-            continue
+    winner: tuple[float, Form, Array, Array] | None = None
+    for free in _forms(problem, hypothesis, sorted(order)):
         columns = _whitened(setting, free)
         amounts = _fitted(columns, best.everything, len(best.fit.residual))
         better = best.everything + amounts @ columns
@@ -66,8 +64,27 @@ def free_form(state: State) -> State:
     if winner is None:
         return state
     error, free, amounts, columns = winner
-    shape = _shape(state, free, amounts, columns, 1.0 - error / best.error)
-    return replace(state, free_form=shape)
+    gain = 1.0 - error / best.error
+    if isinstance(free, EncoderError):
+        nothing = np.zeros((2, 0))
+        over_position = np.stack([free.position, amounts])
+        shape = FreeForm(free.joint, gain, over_position, nothing, nothing)
+        return replace(state, free_form=replace(shape, of_encoder=True))
+    return replace(state, free_form=_shape(state, free, amounts, columns, gain))
+
+
+def _forms(
+    problem: ArmRollouts | TorqueLog, hypothesis: Hypothesis, recordings: Sequence[int]
+) -> Iterator[Form]:
+    """Yield what may act at each joint."""
+    for joint in problem.log.joints:
+        if isinstance(problem, TorqueLog):
+            free = _free_of_measured(problem, joint, recordings)
+        else:
+            free = free_torque(problem, hypothesis, joint, recordings)
+            yield encoder_error(problem, joint)
+        if free is not None:
+            yield free
 
 
 def _free_of_measured(
@@ -95,7 +112,7 @@ def _heldout(everything: Array, training: int) -> float:
     return float(np.sqrt(np.mean(everything[training:] ** 2)))
 
 
-def _whitened(setting: Setting, free: FreeTorque) -> Array:
+def _whitened(setting: Setting, free: Form) -> Array:
     """Return whitened changes of all residuals, training first, (knots, N)."""
     order = training_first(setting.problem, setting.train, setting.heldout)
     return setting.weights.together.whiten(free.moved[:, order])

@@ -22,13 +22,13 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import cho_factor, cho_solve
 
+from rlco.gap.compare.arm.encoder_error import at_times
 from rlco.gap.compare.arm.following_torque import following_torque
 from rlco.gap.compare.arm.free_torque import hats, session_begins
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.arm.torque_over_time import (
     TorqueOverTime,
     as_hats,
-    at_times,
     finer_knots,
     torque_over_time,
     with_amounts,

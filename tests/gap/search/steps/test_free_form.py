@@ -9,6 +9,8 @@ from hidden_arms import TURNTABLES, Act, Hide, record
 
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import FreeForm, Verdict
+from rlco.gap.report.free_form import free_form_figure
+from rlco.gap.report.verdict_text import outside_line
 from rlco.gap.search.find_gap import find_gap
 
 pytestmark = pytest.mark.slow
@@ -25,8 +27,10 @@ def _hardening(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     data.qfrc_applied[0] = -(data.qpos[0] ** 3)
 
 
-def _found(hide: Hide | None, act: Act | None) -> Verdict:
+def _found(hide: Hide | None, act: Act | None, eccentric: float = 0.0) -> Verdict:
     log = record(hide, act, xml=TURNTABLES, episodes=6)
+    for one in log.recordings:
+        one.position[:, 0] += eccentric * np.sin(3.0 * one.position[:, 0])
     problem = ArmRollouts(mujoco.MjSpec.from_string(TURNTABLES), log, np.full(2, 4e-4))
     every = {one.name for one in problem.candidates()}
     uncommon = {one.name for one in problem.candidates(uncommon=True)}
@@ -58,6 +62,22 @@ def test_over_time_it_comes_and_goes_with_the_motion(doubted: FreeForm) -> None:
     # Six recordings of four seconds, one after the other.
     assert 20.0 < time[-1] - time[0] <= 24.0
     assert torque.min() < -0.02 < 0.02 < torque.max()
+
+
+def test_an_encoder_that_reads_wrong_is_told_at_its_joint_and_drawn() -> None:
+    found = _found(_damped, None, eccentric=0.0008)
+    assert [(e.name, e.target) for e in found.effects] == [("viscous_damping", "elbow")]
+    free = found.free_form
+    assert free is not None
+    assert free.of_encoder
+    assert free.target == "shoulder"
+    angle, error = free.over_position
+    hidden = 0.0008 * np.sin(3.0 * angle)
+    np.testing.assert_allclose(error, hidden, atol=3e-4)
+    assert np.corrcoef(error, hidden)[0, 1] > 0.97
+    assert "error of the encoder at shoulder" in outside_line(free)
+    (panel,) = free_form_figure(free, "rad").axes
+    assert panel.get_ylabel() == "error of the encoder [rad]"
 
 
 def test_right_names_raise_no_doubt() -> None:
