@@ -21,8 +21,8 @@ _HINTS = (
 
 
 _OF_ENCODERS = (
-    "One wave a turn is a disc that is not centred; a slope, a scale; a step or a "
-    "bend, a worn track."
+    "One wave a turn is a disc that is not centred; a step or a bend, a worn track. A "
+    "constant and a slope hardly show, since the servo follows them."
 )
 
 

@@ -1,26 +1,30 @@
-"""The change of a rollout's residuals by an error of an encoder over its position."""
+"""The change of a rollout's residuals by an error of an encoder over its position.
+
+An eccentric disc or a worn potentiometer reads wrong by a smooth function of where the
+joint is.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from rlco.gap.compare.arm.free_torque import hats
+from rlco.gap.compare.arm.free_torque import hats, servo_gain
 from rlco.gap.compare.arm.rollouts import ArmRollouts
-from rlco.gap.compare.problem import Integers
-from rlco.gap.compare.segments import joint_velocity
+from rlco.gap.compare.problem import Hypothesis, Integers
+from rlco.gap.compare.segments import command_steps, joint_velocity
 from rlco.gap.logs.log import Array
+from rlco.physics.effects.targets import actuator_of
 
+_SMALL = 0.005  # size of the error that is tried [rad or m]
 _QUANTILES = np.linspace(0.01, 0.99, 8)  # of the position: knots of its error
 
 
 @dataclass(frozen=True)
 class EncoderError:
-    """Errors of a joint's encoder at several positions.
-
-    An eccentric disc or a worn potentiometer reads wrong by a smooth function of where
-    the joint is. It moves nothing, so it changes that joint's residual alone.
+    """Errors of a joint's encoder, which its servo reads, at several positions.
 
     Attributes:
         joint: The joint.
@@ -33,15 +37,61 @@ class EncoderError:
     moved: Array
 
 
-def encoder_error(problem: ArmRollouts, joint: str) -> EncoderError:
-    """Return what an error of a joint's encoder would change."""
+def encoder_error(
+    problem: ArmRollouts,
+    hypothesis: Hypothesis,
+    joint: str,
+    recordings: Sequence[int],
+) -> EncoderError | None:
+    """Return what an error of a joint's encoder would change; None without a motor.
+
+    The servo drives what the encoder reads to the command: the joint itself is moved
+    by as much as is read wrong, and what stays is that its motion is another one.
+
+    Args:
+        problem: The robot and its log.
+        hypothesis: What acts already.
+        joint: Its servo reads the encoder.
+        recordings: Their residuals, in the order of the layout.
+    """
+    actuator = actuator_of(problem.model, joint)
+    if actuator < 0 or servo_gain(problem, hypothesis, actuator) == 0.0:
+        return None
+    layout = problem.layout
+    column = problem.log.joints.index(joint)
+    own = np.flatnonzero(layout.channel == column)
+    position, _ = at_times(problem, joint, layout.recording[own], layout.time[own])
+    knots = np.unique(np.quantile(position, _QUANTILES))
+    step = float(problem.model.opt.timestep)
+    pushes: list[dict[int, Array]] = [{} for _ in range(len(knots) + 1)]
+    for index in recordings:
+        log = problem.log.recordings[index]
+        path = np.asarray(log.position, dtype=float)[:, column]
+        times = command_steps(log, step)
+        shape = hats(np.interp(times, log.time, path), knots)
+        for push, row in zip(pushes[1:], shape, strict=True):
+            push[index] = np.zeros((len(times), problem.model.nu))
+            push[index][:, actuator] = -_SMALL * row
+    rows = problem.pushed(hypothesis, pushes, recordings)
+    if not np.isfinite(rows).all():
+        return None
+    moved = (rows[1:] - rows[0]) / _SMALL
+    moved[:, own] -= hats(position, knots)
+    return EncoderError(joint, knots, moved)
+
+
+def misread(problem: ArmRollouts, joint: str) -> Array:
+    """Return the change where the encoder is read wrong, but the joint not moved.
+
+    Of an error of one at each of several positions, (P, N).
+    """
     layout = problem.layout
     own = np.flatnonzero(layout.channel == problem.log.joints.index(joint))
     position, _ = at_times(problem, joint, layout.recording[own], layout.time[own])
     knots = np.unique(np.quantile(position, _QUANTILES))
     moved = np.zeros((len(knots), len(layout.channel)))
     moved[:, own] = -hats(position, knots)
-    return EncoderError(joint, knots, moved)
+    return moved
 
 
 def at_times(

@@ -15,7 +15,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from rlco.gap.compare.arm.encoder_error import encoder_error
+from rlco.gap.compare.arm.encoder_error import misread
 from rlco.gap.compare.arm.free_torque import servo_gain
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis, Integers
@@ -109,7 +109,7 @@ def torque_over_time(
         np.concatenate(knots),
         torque,
         columns,
-        _USUAL * encoder_error(problem, joint).moved,
+        _USUAL * misread(problem, joint),
     )
 
 

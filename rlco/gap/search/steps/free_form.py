@@ -78,13 +78,13 @@ def _forms(
 ) -> Iterator[Form]:
     """Yield what may act at each joint."""
     for joint in problem.log.joints:
+        found: list[Form | None] = []
         if isinstance(problem, TorqueLog):
-            free = _free_of_measured(problem, joint, recordings)
+            found = [_free_of_measured(problem, joint, recordings)]
         else:
-            free = free_torque(problem, hypothesis, joint, recordings)
-            yield encoder_error(problem, joint)
-        if free is not None:
-            yield free
+            where = problem, hypothesis, joint, recordings
+            found = [free_torque(*where), encoder_error(*where)]
+        yield from (free for free in found if free is not None)
 
 
 def _free_of_measured(
