@@ -11,6 +11,8 @@ from rlco.gap.compare.problem import Gap, Hypothesis, Problem, Verdict
 from rlco.gap.compare.servo.bench import ServoBench
 from rlco.gap.compare.stability.instability import UnstableModelError, unstable_verdict
 from rlco.gap.search.judge import LARGEST
+from rlco.gap.search.outside.free_form import free_form
+from rlco.gap.search.outside.free_joint import free_joint
 from rlco.gap.search.servo.find_servo_gap import find_servo_gap
 from rlco.gap.search.state import State
 from rlco.gap.search.steps.carried import carried
@@ -19,8 +21,6 @@ from rlco.gap.search.steps.drop import drop, drop_unobservable
 from rlco.gap.search.steps.elsewhere import elsewhere
 from rlco.gap.search.steps.exact_model import exact_model
 from rlco.gap.search.steps.forward import forward, screen, shortlist, swap, take
-from rlco.gap.search.steps.free_form import free_form
-from rlco.gap.search.steps.free_joint import free_joint
 from rlco.gap.search.steps.late_commands import late_commands
 from rlco.gap.search.steps.plain_shares import plain_shares
 from rlco.gap.search.steps.random_delay import random_delay

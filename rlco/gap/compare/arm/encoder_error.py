@@ -6,19 +6,21 @@ joint is.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from rlco.gap.compare.arm.free_torque import hats, servo_gain
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis, Integers
-from rlco.gap.compare.segments import command_steps, joint_velocity
+from rlco.gap.compare.segments import joint_velocity
 from rlco.gap.logs.log import Array
 from rlco.physics.effects.targets import actuator_of
 
 _SMALL = 0.005  # size of the error that is tried [rad or m]
+_KNOTS = 10  # of an error that is smooth
 _QUANTILES = np.linspace(0.01, 0.99, 8)  # of the position: knots of its error
 
 
@@ -35,6 +37,14 @@ class EncoderError:
     joint: str
     position: Array
     moved: Array
+
+    def error(self, amounts: Array) -> Callable[[Array], Array]:
+        """Return the error at positions, (T,) to (T,).
+
+        Args:
+            amounts: The error at each knot [rad or m], (P,).
+        """
+        return _error(self.position, amounts)
 
 
 def encoder_error(
@@ -61,23 +71,38 @@ def encoder_error(
     column = problem.log.joints.index(joint)
     own = np.flatnonzero(layout.channel == column)
     position, _ = at_times(problem, joint, layout.recording[own], layout.time[own])
-    knots = np.unique(np.quantile(position, _QUANTILES))
-    step = float(problem.model.opt.timestep)
-    pushes: list[dict[int, Array]] = [{} for _ in range(len(knots) + 1)]
-    for index in recordings:
-        log = problem.log.recordings[index]
-        path = np.asarray(log.position, dtype=float)[:, column]
-        times = command_steps(log, step)
-        shape = hats(np.interp(times, log.time, path), knots)
-        for push, row in zip(pushes[1:], shape, strict=True):
-            push[index] = np.zeros((len(times), problem.model.nu))
-            push[index][:, actuator] = -_SMALL * row
-    rows = problem.pushed(hypothesis, pushes, recordings)
-    if not np.isfinite(rows).all():
+    low, high = float(position.min()), float(position.max())
+    if low == high:
         return None
-    moved = (rows[1:] - rows[0]) / _SMALL
-    moved[:, own] -= hats(position, knots)
+    knots: Array = np.linspace(low, high, _KNOTS, dtype=float)
+    rows = [problem.residuals([hypothesis], recordings)]
+    for amounts in _SMALL * np.eye(len(knots)):
+        put_right = problem.with_encoder_error(joint, _error(knots, amounts))
+        rows.append(put_right.residuals([hypothesis], recordings))
+    every = np.concatenate(rows)
+    if not np.isfinite(every).all():
+        return None
+    moved = (every[1:] - every[0]) / _SMALL
     return EncoderError(joint, knots, moved)
+
+
+def _error(knots: Array, amounts: Array) -> Callable[[Array], Array]:
+    """Return a smooth error with given values at knots, as a function."""
+    return lambda positions: smooth_hats(positions, knots).T @ amounts
+
+
+def smooth_hats(values: Array, knots: Array) -> Array:
+    """Return how much of each knot a value has, 1 in all, (knots, T).
+
+    Between the knots lie cubic splines, outside them the outermost holds.
+
+    Example:
+        >>> values, knots = np.array([0.0, 0.5, 3.0, 9.0]), np.arange(4.0)
+        >>> (smooth_hats(values, knots).T @ knots).round(6).tolist()
+        [0.0, 0.5, 3.0, 3.0]
+    """
+    spline = CubicSpline(knots, np.eye(len(knots)), bc_type="natural")
+    return np.asarray(spline(np.clip(values, knots[0], knots[-1])).T)
 
 
 def misread(problem: ArmRollouts, joint: str) -> Array:

@@ -7,9 +7,10 @@ a robot that does not, rollouts restart from the measurement repeatedly (`segmen
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
+from dataclasses import replace
 from typing import Any
 
 import mujoco
@@ -32,6 +33,7 @@ from rlco.gap.compare.problem import (
 )
 from rlco.gap.compare.segments import (
     Segment,
+    command_steps,
     held_commands,
     joint_velocity,
     parts_of,
@@ -99,6 +101,7 @@ class ArmRollouts(Problem):
         ]
         self.layout = self._layout()
         self._torques: tuple[str, Mapping[int, Array]] | None = None
+        self._pushes: Mapping[int, Array] = {}
 
     def candidates(self, *, uncommon: bool = False) -> list[Candidate]:
         """Return each effect at each target that can move these joints.
@@ -212,6 +215,7 @@ class ArmRollouts(Problem):
             if segment.recording not in recordings:
                 continue
             sent = apply_to_commands(self._commands[segment.recording], model, effects)
+            sent = sent + self._pushes.get(segment.recording, 0.0)
             qpos, qvel = model.qpos0.copy(), np.zeros(model.nv)
             qpos[positions] = true_positions(segment.state[0], self.log.joints, effects)
             qvel[speeds] = segment.state[1]
@@ -270,6 +274,40 @@ class ArmRollouts(Problem):
             raise ValueError(f"torques act at {at!r}, so none can at {joint!r} besides")
         added = {i: known.get(i, 0.0) + one for i, one in torques.items()}
         other._torques = joint, {**known, **added}
+        return other
+
+    def with_encoder_error(
+        self, joint: str, error: Callable[[Array], Array]
+    ) -> ArmRollouts:
+        """Return the problem with the positions that an encoder reads wrong put right.
+
+        Its servo drives what it reads to the command, so the joint is commanded to as
+        much less, along the measured path.
+
+        Args:
+            joint: The joint.
+            error: What its encoder reads too much [rad or m] where it reads some
+                positions, (T,) to (T,).
+        """
+        other, step = copy(self), float(self.model.opt.timestep)
+        column, actuator = self.log.joints.index(joint), actuator_of(self.model, joint)
+        other._positions, other._pushes, other.segments = [], {}, []
+        for index, log in enumerate(self.log.recordings):
+            read = np.asarray(log.position, dtype=float)[:, column]
+            right = self._positions[index].copy()
+            right[:, column] -= error(read)
+            other._positions.append(right)
+            times = command_steps(log, step)
+            push = np.zeros((len(times), self.model.nu))
+            push[:, actuator] = -error(np.interp(times, log.time, read))
+            other._pushes[index] = self._pushes.get(index, 0.0) + push
+        for segment in self.segments:
+            log, state = self.log.recordings[segment.recording], segment.state.copy()
+            read = np.asarray(log.position, dtype=float)[
+                segment.first : segment.first + 1
+            ]
+            state[0, column] -= error(read[:, column])[0]
+            other.segments.append(replace(segment, state=state))
         return other
 
     def _outside(self, model: mujoco.MjModel, segment: Segment) -> Outside | None:
@@ -350,6 +388,8 @@ class ArmRollouts(Problem):
             if index not in filtered:
                 sent = self._commands[index]
                 filtered[index] = apply_to_commands(sent, model, effects)
+                if index in self._pushes:
+                    filtered[index] = filtered[index] + self._pushes[index]
                 if push is not None and index in push:
                     filtered[index] = filtered[index] + push[index]
             commands = filtered[index][segment.steps : segment.steps + segment.commands]

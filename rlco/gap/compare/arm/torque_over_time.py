@@ -180,7 +180,10 @@ def _each_step(problem: ArmRollouts, index: int, times: Array, amounts: Array) -
 
 
 def as_hats(
-    problem: ArmRollouts, torque: Mapping[int, Array], knots: Sequence[Array]
+    problem: ArmRollouts,
+    torque: Mapping[int, Array],
+    knots: Sequence[Array],
+    weights: Sequence[Array] | None = None,
 ) -> list[Array]:
     """Return a torque as hats: of each recording, one at each hat, (K,) [N m or N].
 
@@ -188,12 +191,14 @@ def as_hats(
         problem: The robot and its log.
         torque: By recording, one at each physics step, (steps,).
         knots: Times of each recording's hats, on its clock [s].
+        weights: By recording, how much each step counts, (steps,); None: all alike.
     """
     found = []
     for index, times in enumerate(knots):
         shape, own = _shape(problem, index, times), torque[index]
-        squares = (shape.T @ shape + 1e-9 * sparse.eye_array(len(times))).tocsc()
-        found.append(np.asarray(spsolve(squares, shape.T @ own)))
+        counted = shape if weights is None else shape * weights[index][:, None]
+        squares = (counted.T @ shape + 1e-9 * sparse.eye_array(len(times))).tocsc()
+        found.append(np.asarray(spsolve(squares, counted.T @ own)))
     return found
 
 
@@ -230,6 +235,18 @@ def finer_knots(problem: ArmRollouts, torque: Mapping[int, Array]) -> list[Array
         more = times[last - 1][:, None] + length[:, None] * parts
         found.append(np.sort(np.concatenate([times, more.ravel()])))
     return found
+
+
+def hat_torque(problem: ArmRollouts, index: int, times: Array, amounts: Array) -> Array:
+    """Return hats as a torque at each physics step of a recording, (steps,).
+
+    Args:
+        problem: The robot and its log.
+        index: The recording.
+        times: Of its hats, on its clock [s], (K,).
+        amounts: Of each, (K,) [N m or N].
+    """
+    return np.asarray(_shape(problem, index, times) @ amounts)
 
 
 def _steps(problem: ArmRollouts, index: int) -> Array:

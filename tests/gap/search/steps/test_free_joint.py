@@ -28,8 +28,8 @@ from rlco.gap.compare.stability.instability import UnstableModelError
 from rlco.gap.logs.log import Array
 from rlco.gap.report.verdict_text import outside_line
 from rlco.gap.search.find_gap import additions, find_gap
+from rlco.gap.search.outside.free_joint import free_joint, without_small
 from rlco.gap.search.state import State
-from rlco.gap.search.steps.free_joint import free_joint, without_small
 from rlco.gap.search.steps.start import start
 from rlco.physics.effects import AppliedEffect
 
@@ -230,7 +230,7 @@ def test_a_robot_that_runs_away_with_the_torque_alone_is_not_searched(
     def runs_away(*_: object, **__: object) -> State:
         raise UnstableModelError(unstable)
 
-    monkeypatch.setattr("rlco.gap.search.steps.free_joint.start", runs_away)
+    monkeypatch.setattr("rlco.gap.search.outside.free_joint.start", runs_away)
     assert last_state(free_joint(state, additions)) is state
 
 

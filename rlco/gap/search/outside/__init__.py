@@ -1,0 +1,1 @@
+"""What acts outside the library: doubt by a free form, and searches beside one."""

@@ -1,0 +1,255 @@
+"""Set the torque of one joint free where the residual is large; search beside it.
+
+Knocks, a cable, a drift or a worn encoder act at one joint in a way that no effect of a
+library describes, and no other recording repeats. What they do hides what effects do at
+other joints, and effects are then named for them. So where a search leaves more than
+noise, the torque of a joint may take any course over time, and its encoder may err by
+any function of position: these changes cost nothing. If one joint set free lets the
+library explain the rest, effects are named beside it, and its torque is drawn.
+
+First only what acts from outside most often is allowed, a drift, knocks or an error of
+the encoder, beside which effects at the same joint can be named, too. A torque of any
+course is allowed where this leaves more than noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Generator
+from dataclasses import replace
+
+import numpy as np
+
+from rlco.gap.compare.arm.following_torque import following_torque
+from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.compare.problem import Candidate, Hypothesis
+from rlco.gap.compare.stability.instability import UnstableModelError
+from rlco.gap.search.fit import candidates_of
+from rlco.gap.search.judge import NAMED, kind
+from rlco.gap.search.outside.course import ANY, PARTS, USUAL, Course
+from rlco.gap.search.outside.drawn import drawn
+from rlco.gap.search.outside.freed import Amounts, Freed, estimated
+from rlco.gap.search.setting import Scored
+from rlco.gap.search.state import State
+from rlco.gap.search.steps.closing import SENSITIVE
+from rlco.gap.search.steps.drop import drop
+from rlco.gap.search.steps.elsewhere import Additions, begun_with
+from rlco.gap.search.steps.start import start
+from rlco.physics.effects import AppliedEffect
+from rlco.physics.effects.sensing import ENCODER_SCALE, JOINT_OFFSET
+from rlco.physics.effects.targets import actuator_of
+
+LARGE = 1.15  # residual over the noise, in all recordings, for which a joint is freed
+GAIN = 0.3  # share of this residual that setting a joint free must remove
+FEWER = 0.05  # the same where it leaves fewer effects to be named
+JOINTS = 2  # that are tried
+LITTLE = 0.1  # the same of an effect beside a torque of any course
+_ENCODER = (ENCODER_SCALE.name, JOINT_OFFSET.name)
+_SEARCHES = 2  # each beside the torque that is left by what the one before found
+
+
+def free_joint(state: State, additions: Additions) -> Generator[State, None, State]:
+    """Yield the state after each step of searches with one joint free; return the last.
+
+    Args:
+        state: Of a search that has added and dropped its effects.
+        additions: How a search goes on.
+
+    Returns:
+        The state of the first of these that explains most of the residual; the given
+        one where none does, and with the torque alone where no effect is named beside.
+    """
+    problem = state.setting.problem
+    if _residual(state.best) <= LARGE or state.lateness is not None:
+        return state
+    # Where a motor hardly holds its arm, small differences of the model decide on its
+    # course, and a torque that makes up for them hides how uncertain effects are.
+    if state.sensitivity > SENSITIVE:
+        return state
+    # With one joint, nothing tells a free torque from an effect.
+    if not isinstance(problem, ArmRollouts) or len(problem.log.joints) < 2:
+        return state
+    for base, joint in _likely(state, problem)[:JOINTS]:
+        yield state
+        found = yield from _at_joint(state, problem, base, joint, additions)
+        if found is None:
+            continue
+        if _names(found):
+            return found
+        # No effect is named beside it, but it is there.
+        return replace(state, free_form=found.free_form)
+    return state
+
+
+def _at_joint(
+    state: State,
+    problem: ArmRollouts,
+    base: Scored,
+    joint: str,
+    additions: Additions,
+) -> Generator[State, None, State | None]:
+    """Yield the given state at each step of searches with a joint free.
+
+    Returns:
+        The last state of the search to follow; None where the joint explains little.
+    """
+    usual = yield from _beside(state, problem, base, joint, USUAL, additions)
+    if usual is not None and _residual(usual.best) <= LARGE:
+        if _names(usual):
+            return usual
+        # What changes so slowly, or errs so, replaces constant effects at its joint.
+        for part in PARTS:
+            found = yield from _beside(state, problem, base, joint, part, additions)
+            if found is not None and _names(found) and _residual(found.best) <= LARGE:
+                return found
+        return usual
+    return (yield from _beside(state, problem, base, joint, ANY, additions))
+
+
+def _names(found: State) -> bool:
+    """Return whether a search names effects."""
+    return bool(found.best.effects) and kind(found) in NAMED
+
+
+def _likely(state: State, problem: ArmRollouts) -> list[tuple[Scored, str]]:
+    """Return joints that explain most when they are free, each beside which effects.
+
+    Each is kept on its measured path; what then is left is left at the others.
+    """
+    bases = {one.names: one for one in (*_singles(state), state.best, state.none)}
+    none_free = np.zeros((0, len(problem.layout.channel)))
+    amounts = Amounts.of(state, none_free)
+    found = []
+    for joint in problem.log.joints:
+        if actuator_of(problem.model, joint) < 0:
+            continue
+        errors = {}
+        for names, base in bases.items():
+            hypothesis = Hypothesis(base.effects)
+            torque = following_torque(problem, hypothesis, joint)
+            if torque is None:
+                continue
+            (rows,) = problem.with_torques(joint, torque).residuals([hypothesis])
+            errors[names] = amounts.residual(rows)
+        if errors:
+            best = min(errors, key=errors.__getitem__)
+            nothing = errors.get(state.none.names, np.inf)
+            if errors[best] > (1.0 - FEWER) * nothing:
+                best = state.none.names  # what explains little is found again
+            found.append((errors[best], bases[best], joint))
+    found.sort(key=lambda one: one[0])
+    return [(base, joint) for _, base, joint in found]
+
+
+def _singles(state: State) -> list[Scored]:
+    """Return the best single effects of a search."""
+    singles = (one for one in state.scores.values() if len(one.effects) == 1)
+    return sorted(singles, key=lambda one: one.fit.cost)[:3]
+
+
+def _beside(
+    state: State,
+    problem: ArmRollouts,
+    base: Scored,
+    joint: str,
+    course: Course,
+    additions: Additions,
+) -> Generator[State, None, State | None]:
+    """Yield the given state at each step of a search beside a course at a joint.
+
+    Returns:
+        The last state of that search; None where it explains little.
+    """
+    effects = tuple(one for one in base.effects if not _is_of_encoder(one, joint))
+    if course != ANY:
+        # One that made up for a part of what acts there hides which part it is.
+        effects = tuple(one for one in effects if one.target != joint)
+    freed, found = None, state
+    for _ in range(_SEARCHES):
+        # What acts there is estimated beside what is known of the effects.
+        freed = estimated(state, problem, Hypothesis(effects), joint, course)
+        begun = None if freed is None else _begun(state, freed, effects)
+        if freed is None or begun is None:
+            return None
+        found = begun
+        for step in additions(begun):
+            found = step
+            yield state  # what is found is kept aside until it is whole
+        if course == ANY:
+            found = without_small(found)
+        known, effects = effects, found.best.effects
+        if candidates_of(effects) == candidates_of(known):
+            break
+    if freed is None or not _is_worth_it(state.best, found.best):
+        return None
+    form = drawn(state, problem, found, freed)
+    return replace(found, as_it_is=problem, free_form=form)
+
+
+def without_small(state: State) -> State:
+    """Return the state without effects that explain little beside a free joint.
+
+    A torque of any course is not quite what acts there, and some effect always makes up
+    for a little of the difference.
+    """
+    while state.best.effects:
+        best, effects = state.best, state.best.effects
+        fewer = [tuple(e for e in effects if e is not one) for one in effects]
+        options = [state.none]
+        if len(effects) > 1:
+            state, options = state.fit(fewer)
+        least = min(options, key=_residual, default=None)
+        if least is None or _residual(best) < (1.0 - LITTLE) * _residual(least):
+            break
+        state = replace(state, best=least).noted(effects=least.effects, dropped=True)
+    return state
+
+
+def _residual(one: Scored) -> float:
+    """Return the root mean square of the residual of a set of effects, everywhere.
+
+    Held-out recordings alone may hold little of what happens once.
+    """
+    return float(np.sqrt(np.mean(one.everything**2)))
+
+
+def _is_worth_it(before: Scored, found: Scored) -> bool:
+    """Return whether a free joint explains enough to be named for."""
+    fewer = len(found.effects) < len(before.effects)
+    return _residual(found) < (1.0 - (FEWER if fewer else GAIN)) * _residual(before)
+
+
+def _begun(
+    state: State, freed: Freed, effects: tuple[AppliedEffect, ...]
+) -> State | None:
+    """Return the first state of a search with a joint free; None where it diverges.
+
+    Args:
+        state: Of a search without it.
+        freed: The joint.
+        effects: That the search begins with.
+    """
+    setting = state.setting
+    try:
+        begun = start(
+            freed.problem,
+            spread=float(np.max(setting.prior, initial=0.0)),
+            exclude=setting.excluded,
+            free=freed.as_free(),
+        )
+    except UnstableModelError:
+        return None  # with that torque and no effect, the robot runs away
+    joint = freed.torques.joint
+    wider = {**begun.setting.library, **setting.library}
+    if freed.encoder is not None or freed.any:
+        wider = {c: known for c, known in wider.items() if not _is_of_encoder(c, joint)}
+    begun = replace(begun, setting=replace(begun.setting, library=wider))
+    begun = replace(begun, trail=state.trail).noted(effects=(), free_joint=joint)
+    if not effects:
+        return begun
+    begun, fits = begun.fit([effects])
+    return drop(begun_with(begun, fits[0])) if fits else None
+
+
+def _is_of_encoder(one: Candidate | AppliedEffect, joint: str) -> bool:
+    """Return whether an effect is at an encoder whose error is free anyway."""
+    return one.target == joint and one.name in _ENCODER
