@@ -19,15 +19,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from rlco.gap.compare.arm.encoder_error import encoder_error
 from rlco.gap.compare.arm.following_torque import following_torque
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Candidate, Hypothesis
 from rlco.gap.compare.stability.instability import UnstableModelError
+from rlco.gap.logs.log import Array
 from rlco.gap.search.fit import candidates_of
 from rlco.gap.search.judge import NAMED, kind
 from rlco.gap.search.outside.course import ANY, PARTS, USUAL, Course
 from rlco.gap.search.outside.drawn import drawn
-from rlco.gap.search.outside.freed import Amounts, Freed, estimated
+from rlco.gap.search.outside.freed import USUAL_ERROR, Amounts, Freed, estimated
 from rlco.gap.search.setting import Scored
 from rlco.gap.search.state import State
 from rlco.gap.search.steps.closing import SENSITIVE
@@ -113,31 +115,52 @@ def _names(found: State) -> bool:
 def _likely(state: State, problem: ArmRollouts) -> list[tuple[Scored, str]]:
     """Return joints that explain most when they are free, each beside which effects.
 
-    Each is kept on its measured path; what then is left is left at the others.
+    Each is kept on its measured path, and what then is left is left at the others; or
+    its encoder errs as fits best.
     """
     bases = {one.names: one for one in (*_singles(state), state.best, state.none)}
-    none_free = np.zeros((0, len(problem.layout.channel)))
-    amounts = Amounts.of(state, none_free)
     found = []
     for joint in problem.log.joints:
         if actuator_of(problem.model, joint) < 0:
             continue
-        errors = {}
-        for names, base in bases.items():
-            hypothesis = Hypothesis(base.effects)
-            torque = following_torque(problem, hypothesis, joint)
-            if torque is None:
-                continue
-            (rows,) = problem.with_torques(joint, torque).residuals([hypothesis])
-            errors[names] = amounts.residual(rows)
-        if errors:
-            best = min(errors, key=errors.__getitem__)
-            nothing = errors.get(state.none.names, np.inf)
-            if errors[best] > (1.0 - FEWER) * nothing:
-                best = state.none.names  # what explains little is found again
+        errors = {names: _left(state, one, joint) for names, one in bases.items()}
+        best = min(errors, key=errors.__getitem__)
+        if errors[best] > (1.0 - FEWER) * errors[state.none.names]:
+            best = state.none.names  # what explains little is found again
+        if errors[best] < (1.0 - FEWER) * _residual(state.best):
             found.append((errors[best], bases[best], joint))
     found.sort(key=lambda one: one[0])
     return [(base, joint) for _, base, joint in found]
+
+
+def _left(state: State, base: Scored, joint: str) -> float:
+    """Return about what is left where a joint is free beside some effects.
+
+    Args:
+        state: Of a search without it.
+        base: The effects.
+        joint: The joint.
+    """
+    problem, hypothesis = state.setting.problem, Hypothesis(base.effects)
+    left, logs = float("inf"), range(len(problem.log.recordings))
+    if not isinstance(problem, ArmRollouts):
+        return left
+    torque = following_torque(problem, hypothesis, joint)
+    if torque is not None:
+        (rows,) = problem.with_torques(joint, torque).residuals([hypothesis])
+        left = Amounts.of(state, _no_columns(problem)).residual(rows)
+    if base not in (state.best, state.none):
+        return left
+    encoder = encoder_error(problem, hypothesis, joint, logs)
+    if encoder is not None:
+        (rows,) = problem.residuals([hypothesis])
+        columns = USUAL_ERROR * encoder.moved
+        left = min(left, Amounts.of(state, columns).residual(rows))
+    return left
+
+
+def _no_columns(problem: ArmRollouts) -> Array:
+    return np.zeros((0, len(problem.layout.channel)))
 
 
 def _singles(state: State) -> list[Scored]:
