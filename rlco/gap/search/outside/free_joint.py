@@ -42,6 +42,7 @@ from rlco.physics.effects.targets import actuator_of
 
 LARGE = 1.15  # residual over the noise, in all recordings, for which a joint is freed
 GAIN = 0.3  # share of this residual that setting a joint free must remove
+FEW = 0.1  # the same of a course that has few amounts
 FEWER = 0.05  # the same where it leaves fewer effects to be named
 JOINTS = 2  # that are tried
 LITTLE = 0.1  # the same of an effect beside a torque of any course
@@ -202,7 +203,7 @@ def _beside(
         known, effects = effects, found.best.effects
         if candidates_of(effects) == candidates_of(known):
             break
-    if freed is None or not _is_worth_it(state.best, found.best):
+    if freed is None or not _is_worth_it(state.best, found.best, course):
         return None
     form = drawn(state, problem, found, freed)
     return replace(found, as_it_is=problem, free_form=form)
@@ -235,10 +236,11 @@ def _residual(one: Scored) -> float:
     return float(np.sqrt(np.mean(one.everything**2)))
 
 
-def _is_worth_it(before: Scored, found: Scored) -> bool:
+def _is_worth_it(before: Scored, found: Scored, course: Course) -> bool:
     """Return whether a free joint explains enough to be named for."""
     fewer = len(found.effects) < len(before.effects)
-    return _residual(found) < (1.0 - (FEWER if fewer else GAIN)) * _residual(before)
+    least = FEWER if fewer else GAIN if course == ANY else FEW
+    return _residual(found) < (1.0 - least) * _residual(before)
 
 
 def _begun(
