@@ -193,6 +193,13 @@ def is_loud(verdict: Verdict) -> bool:
     return bool(verdict.effects) and gap.after_heldout > LOUD * gap.noise_floor
 
 
+_HELD_OUT = " in held-out recordings: something outside the library acts there."
+_OF_ALL = (
+    ": something outside the library acts there. It was estimated in all recordings, "
+    "held-out ones too, so it predicts none."
+)
+
+
 def outside_line(free: FreeForm) -> str:
     """Return in one sentence what acts outside the library.
 
@@ -203,23 +210,20 @@ def outside_line(free: FreeForm) -> str:
         'A torque of some shape over position and velocity at elbow, besides, leaves \
 40 % less error in held-out recordings: something outside the library acts there.'
     """
+    less = f"leaves {100 * free.gain:.0f} % less error"
     if free.of_encoder:
         return (
             f"An error of the encoder at {free.target}, of some shape over its "
-            f"position, besides, leaves {100 * free.gain:.0f} % less error in held-out "
-            "recordings: something outside the library acts there."
+            f"position, besides, {less}" + (_HELD_OUT if free.predicts else _OF_ALL)
         )
     if not free.predicts:
         return (
-            f"A torque that takes any course over time at {free.target}, besides, "
-            f"leaves {100 * free.gain:.0f} % less error: something outside the library "
-            "acts there. It was estimated in all recordings, held-out ones too, so it "
-            "predicts none."
+            f"A torque that takes a course of its own over time at {free.target}, "
+            f"besides, {less}{_OF_ALL}"
         )
     return (
         f"A torque of some shape over position and velocity at {free.target}, besides, "
-        f"leaves {100 * free.gain:.0f} % less error in held-out recordings: something "
-        "outside the library acts there."
+        f"{less}{_HELD_OUT}"
     )
 
 

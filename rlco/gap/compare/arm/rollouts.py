@@ -53,6 +53,8 @@ from rlco.physics.effects.targets import actuator_of, dof_of
 from rlco.physics.effects.transmission import COMPLIANCE_SUFFIX
 from rlco.physics.mj.libmujoco import silenced_warnings
 
+_NEAR = 1e-4  # of a position, for the slope of an error there [rad or m]
+
 
 class ArmRollouts(Problem):
     """A `Problem` for an arm with logged joint commands and positions.
@@ -102,6 +104,7 @@ class ArmRollouts(Problem):
         self.layout = self._layout()
         self._torques: tuple[str, Mapping[int, Array]] | None = None
         self._pushes: Mapping[int, Array] = {}
+        self._as_read: Mapping[int, Array] = {}
 
     def candidates(self, *, uncommon: bool = False) -> list[Candidate]:
         """Return each effect at each target that can move these joints.
@@ -291,7 +294,8 @@ class ArmRollouts(Problem):
         """
         other, step = copy(self), float(self.model.opt.timestep)
         column, actuator = self.log.joints.index(joint), actuator_of(self.model, joint)
-        other._positions, other._pushes, other.segments = [], {}, []
+        other._positions, other.segments = [], []
+        other._pushes, other._as_read = {}, {}
         for index, log in enumerate(self.log.recordings):
             read = np.asarray(log.position, dtype=float)[:, column]
             right = self._positions[index].copy()
@@ -301,6 +305,12 @@ class ArmRollouts(Problem):
             push = np.zeros((len(times), self.model.nu))
             push[:, actuator] = -error(np.interp(times, log.time, read))
             other._pushes[index] = self._pushes.get(index, 0.0) + push
+            # Residuals stay what the encoder reads: else a large error, which makes
+            # positions small, would make them small, too.
+            more = (error(read + _NEAR) - error(read - _NEAR)) / (2.0 * _NEAR)
+            slope = 1.0 / self._as_read.get(index, np.ones_like(right))
+            slope[:, column] -= more
+            other._as_read[index] = 1.0 / slope
         for segment in self.segments:
             log, state = self.log.recordings[segment.recording], segment.state.copy()
             read = np.asarray(log.position, dtype=float)[
@@ -404,6 +414,8 @@ class ArmRollouts(Problem):
             rows += segment.weights[:, None] * (track[segment.frames + 1] - rows)
             rows = apply_to_measurement(rows, joints, effects)
             residual = self._positions[index][segment.begin : segment.last + 1] - rows
+            if index in self._as_read:
+                residual *= self._as_read[index][segment.begin : segment.last + 1]
             if diverged(data) or not np.isfinite(residual).all():
                 residual = np.full_like(residual, np.inf)
             out.append(residual.ravel())

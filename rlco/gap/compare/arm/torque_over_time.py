@@ -195,7 +195,7 @@ def as_hats(
     """
     found = []
     for index, times in enumerate(knots):
-        shape, own = _shape(problem, index, times), torque[index]
+        shape, own = hat_shapes(problem, index, times), torque[index]
         counted = shape if weights is None else shape * weights[index][:, None]
         squares = (counted.T @ shape + 1e-9 * sparse.eye_array(len(times))).tocsc()
         found.append(np.asarray(spsolve(squares, counted.T @ own)))
@@ -213,7 +213,7 @@ def finer_knots(problem: ArmRollouts, torque: Mapping[int, Array]) -> list[Array
     rough = []
     hats_of = as_hats(problem, torque, knots)
     for index, (times, own) in enumerate(zip(knots, hats_of, strict=True)):
-        shape = _shape(problem, index, times)
+        shape = hat_shapes(problem, index, times)
         error = np.asarray((torque[index] - shape @ own) ** 2)
         between = np.clip(
             np.searchsorted(times, _steps(problem, index), "right"), 1, len(times) - 1
@@ -237,18 +237,6 @@ def finer_knots(problem: ArmRollouts, torque: Mapping[int, Array]) -> list[Array
     return found
 
 
-def hat_torque(problem: ArmRollouts, index: int, times: Array, amounts: Array) -> Array:
-    """Return hats as a torque at each physics step of a recording, (steps,).
-
-    Args:
-        problem: The robot and its log.
-        index: The recording.
-        times: Of its hats, on its clock [s], (K,).
-        amounts: Of each, (K,) [N m or N].
-    """
-    return np.asarray(_shape(problem, index, times) @ amounts)
-
-
 def _steps(problem: ArmRollouts, index: int) -> Array:
     """Return the times of a recording's physics steps, (steps,) [s]."""
     return command_steps(
@@ -256,7 +244,7 @@ def _steps(problem: ArmRollouts, index: int) -> Array:
     )
 
 
-def _shape(problem: ArmRollouts, index: int, times: Array) -> sparse.csr_array:
+def hat_shapes(problem: ArmRollouts, index: int, times: Array) -> sparse.csr_array:
     """Return how much of each hat each physics step has, (steps, K)."""
     steps = np.clip(_steps(problem, index), times[0], times[-1])
     after = np.clip(np.searchsorted(times, steps, "right"), 1, len(times) - 1)

@@ -13,9 +13,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import spsolve
 
+from rlco.gap.compare.arm.encoder_error import at_times
+from rlco.gap.compare.arm.free_torque import hats
 from rlco.gap.compare.arm.rollouts import ArmRollouts
-from rlco.gap.compare.arm.torque_over_time import as_hats, finer_knots, hat_torque
+from rlco.gap.compare.arm.torque_over_time import as_hats, finer_knots, hat_shapes
 from rlco.gap.compare.segments import command_steps
 from rlco.gap.logs.log import Array
 
@@ -23,7 +27,9 @@ _SLOW = 2.5  # between knots where nothing happens [s]
 _FINE = 0.04  # the same within an event [s]
 _SUDDEN = 6.0  # deviation from slow over the usual one, within an event
 _MARGIN = 0.1  # before and after an event [s]
-_WEIGHTED = 8  # fits of a drift
+_WEIGHTED = 8  # fits of what is not sudden
+_SLOWEST = 0.05  # speed at which friction takes its sign [rad/s or m/s]
+_PLACES = np.linspace(0.0, 1.0, 7)  # quantiles of the position
 _EVENTS = 0.5  # share of the time that events may take
 
 
@@ -46,8 +52,7 @@ class Course:
 
 ANY = Course(any=True)
 USUAL = Course(drifts=True, knocks=True, misreads=True)
-#: Parts of the usual, tried where nothing is named beside all of it: a constant torque
-#: and an offset of the encoder then are effects again.
+#: Parts of the usual, beside which a constant torque or an offset is an effect again.
 PARTS = (Course(knocks=True), Course(misreads=True), Course(drifts=True))
 
 
@@ -66,11 +71,14 @@ class Begun:
     free: Array
 
 
-def begun(problem: ArmRollouts, torque: Mapping[int, Array], course: Course) -> Begun:
+def begun(
+    problem: ArmRollouts, joint: str, torque: Mapping[int, Array], course: Course
+) -> Begun:
     """Return the hats of a course, and with them the part of a torque that is in it.
 
     Args:
         problem: The robot and its log.
+        joint: The joint.
         torque: What keeps the joint on its measured path, by recording, one at each
             physics step, (steps,).
         course: What may act.
@@ -83,22 +91,23 @@ def begun(problem: ArmRollouts, torque: Mapping[int, Array], course: Course) -> 
     slow: list[Array] = [
         _evenly(one.time[0], one.time[0] + one.seconds) for one in logs
     ]
-    drift, away = _drift(problem, torque, slow)
+    sudden = _beside_motion(problem, joint, torque, slow)
+    drift = as_hats(problem, sudden.torque, slow, sudden.weights)
     fine: list[Array] = [np.zeros(0) for _ in logs]
     if course.knocks:
-        fine = _within_events(problem, away)
+        fine = _within_events(problem, sudden.away)
     both = [_merged(*one) for one in zip(slow, fine, strict=True)]
     torques: list[Array] = []
     free: list[Array] = []
-    projected = as_hats(problem, torque, both)
+    projected = as_hats(problem, sudden.torque, both)
     for times, own, base, more in zip(both, projected, drift, fine, strict=True):
         # What acts for short times is nothing before and after them.
         padded = np.concatenate([[False], np.isin(times, more), [False]])
-        sudden = padded[:-2] & padded[1:-1] & padded[2:]
+        inner = padded[:-2] & padded[1:-1] & padded[2:]
         slowly = np.interp(times, slow[len(torques)], base)
-        knock = np.where(sudden, own - slowly, 0.0)
+        knock = np.where(inner, own - slowly, 0.0)
         torques.append(course.drifts * slowly + course.knocks * knock)
-        free.append((sudden & course.knocks) | np.full(len(times), course.drifts))
+        free.append((inner & course.knocks) | np.full(len(times), course.drifts))
     return Begun(both, torques, np.concatenate(free))
 
 
@@ -108,28 +117,71 @@ def _evenly(begin: float, end: float) -> Array:
     return np.asarray(np.linspace(begin, end, count))
 
 
-def _drift(
-    problem: ArmRollouts, torque: Mapping[int, Array], slow: list[Array]
-) -> tuple[list[Array], list[Array]]:
-    """Return the drift of a torque, and how far from it each step is, over the usual.
+@dataclass(frozen=True)
+class _Sudden:
+    """A torque without what goes with the motion, each by recording.
 
-    What is sudden counts little in it: absolute deviations are made small, by least
-    squares with weights.
-
-    Returns:
-        Of each recording, torques at the knots (K,) and deviations (steps,).
+    Attributes:
+        torque: The rest, with its drift, (steps,).
+        away: How far it is from its drift, over the usual, (steps,).
+        weights: How much each step counts, (steps,).
     """
-    weights: list[Array] | None = None
+
+    torque: dict[int, Array]
+    away: list[Array]
+    weights: list[Array]
+
+
+def _beside_motion(
+    problem: ArmRollouts, joint: str, torque: Mapping[int, Array], slow: list[Array]
+) -> _Sudden:
+    """Return a torque without what friction, a spring or an inertia may account for.
+
+    What is sudden counts little: the sum of absolute deviations is made small, by least
+    squares with weights.
+    """
+    clocks = [
+        command_steps(one, float(problem.model.opt.timestep))
+        for one in problem.log.recordings
+    ]
+    shapes = [
+        hat_shapes(problem, index, times).tocsr() for index, times in enumerate(slow)
+    ]
+    motion = _motions(problem, joint, clocks)
+    columns = sparse.hstack([sparse.block_diag(shapes), motion], format="csr")
+    count = motion.shape[1]
+    goal = np.concatenate([torque[index] for index in range(len(slow))])
+    weights = np.ones(len(goal))
     for _ in range(_WEIGHTED):
-        drift = as_hats(problem, torque, slow, weights)
-        away = [
-            np.abs(torque[index] - hat_torque(problem, index, *one))
-            for index, one in enumerate(zip(slow, drift, strict=True))
-        ]
-        usual = float(np.median(np.concatenate(away))) / 0.6745
-        away = [one / usual for one in away]
-        weights = [1.0 / np.maximum(one, 0.1) for one in away]
-    return drift, away
+        counted = columns * weights[:, None]
+        squares = (counted.T @ columns).tocsc()
+        ridge = 1e-6 * squares.diagonal().mean() * sparse.eye_array(squares.shape[0])
+        amounts = spsolve((squares + ridge).tocsc(), counted.T @ goal)
+        away = np.abs(goal - columns @ amounts)
+        away /= float(np.median(away)) / 0.6745
+        weights = 1.0 / np.maximum(away, 0.1)
+    rest = goal - motion @ amounts[-count:]
+    ends = np.cumsum([len(one) for one in clocks])[:-1]
+    each = [np.split(one, ends) for one in (rest, away, weights)]
+    return _Sudden(dict(enumerate(each[0])), each[1], each[2])
+
+
+def _motions(problem: ArmRollouts, joint: str, clocks: list[Array]) -> Array:
+    """Return functions of a joint's motion, scaled to one, (steps, functions)."""
+    found = []
+    for index, times in enumerate(clocks):
+        recording = np.full(len(times), index)
+        position, velocity = at_times(problem, joint, recording, times)
+        acceleration = np.gradient(velocity, times)
+        friction = np.tanh(velocity / _SLOWEST)
+        found.append(np.stack([position, velocity, acceleration, friction]))
+    every = np.concatenate(found, axis=1)
+    places = np.unique(np.quantile(every[0], _PLACES))
+    # All hats together are a constant, which is a drift.
+    shapes = np.concatenate([every[1:], hats(every[0], places)[1:]])
+    return np.asarray(
+        (shapes / np.maximum(np.abs(shapes).max(axis=1), 1e-12)[:, None]).T
+    )
 
 
 def _within_events(problem: ArmRollouts, away: list[Array]) -> list[Array]:

@@ -37,7 +37,13 @@ def drawn(state: State, problem: ArmRollouts, found: State, freed: Freed) -> Fre
             over_position = np.stack([freed.encoder.position, USUAL_ERROR * errors])
             nothing = np.zeros((2, 0))
             return FreeForm(
-                torques.joint, gain, over_position, nothing, nothing, of_encoder=True
+                torques.joint,
+                gain,
+                over_position,
+                nothing,
+                nothing,
+                predicts=False,
+                of_encoder=True,
             )
     torque = amounts * torques.torque
     where = problem, torques.joint, torques.recording, torques.time

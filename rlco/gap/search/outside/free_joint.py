@@ -42,10 +42,12 @@ from rlco.physics.effects.targets import actuator_of
 
 LARGE = 1.15  # residual over the noise, in all recordings, for which a joint is freed
 GAIN = 0.3  # share of this residual that setting a joint free must remove
+SIMPLER = 1.05  # of the residual that a part of a course may leave instead
 FEW = 0.1  # the same of a course that has few amounts
 FEWER = 0.05  # the same where it leaves fewer effects to be named
 JOINTS = 2  # that are tried
 LITTLE = 0.1  # the same of an effect beside a torque of any course
+LITTLE_OF_FEW = 0.03  # and beside one of few amounts
 _ENCODER = (ENCODER_SCALE.name, JOINT_OFFSET.name)
 _SEARCHES = 2  # each beside the torque that is left by what the one before found
 
@@ -96,16 +98,21 @@ def _at_joint(
         The last state of the search to follow; None where the joint explains little.
     """
     usual = yield from _beside(state, problem, base, joint, USUAL, additions)
-    if usual is not None and _residual(usual.best) <= LARGE:
-        if _names(usual):
-            return usual
-        # What changes so slowly, or errs so, replaces constant effects at its joint.
-        for part in PARTS:
-            found = yield from _beside(state, problem, base, joint, part, additions)
-            if found is not None and _names(found) and _residual(found.best) <= LARGE:
-                return found
-        return usual
-    return (yield from _beside(state, problem, base, joint, ANY, additions))
+    if usual is None or _residual(usual.best) > LARGE:
+        return (yield from _beside(state, problem, base, joint, ANY, additions))
+    # Beside less, more can be told: a drift replaces a constant torque, an error of the
+    # encoder an offset. A part that leaves as little is what acts.
+    least = SIMPLER * _residual(usual.best)
+    known = Hypothesis(usual.best.effects)
+    for part in PARTS:
+        if known.effects:
+            freed = estimated(state, problem, known, joint, part)
+            if freed is None or freed.left(state, known) > least:
+                continue
+        found = yield from _beside(state, problem, usual.best, joint, part, additions)
+        if found is not None and _names(found) and _residual(found.best) <= least:
+            return found
+    return usual
 
 
 def _names(found: State) -> bool:
@@ -184,7 +191,7 @@ def _beside(
         The last state of that search; None where it explains little.
     """
     effects = tuple(one for one in base.effects if not _is_of_encoder(one, joint))
-    if course != ANY:
+    if course == USUAL:
         # One that made up for a part of what acts there hides which part it is.
         effects = tuple(one for one in effects if one.target != joint)
     freed, found = None, state
@@ -198,8 +205,7 @@ def _beside(
         for step in additions(begun):
             found = step
             yield state  # what is found is kept aside until it is whole
-        if course == ANY:
-            found = without_small(found)
+        found = without_small(found, LITTLE if course == ANY else LITTLE_OF_FEW)
         known, effects = effects, found.best.effects
         if candidates_of(effects) == candidates_of(known):
             break
@@ -209,11 +215,15 @@ def _beside(
     return replace(found, as_it_is=problem, free_form=form)
 
 
-def without_small(state: State) -> State:
+def without_small(state: State, little: float) -> State:
     """Return the state without effects that explain little beside a free joint.
 
-    A torque of any course is not quite what acts there, and some effect always makes up
-    for a little of the difference.
+    What is free is not quite what acts there, and some effect always makes up for a
+    little of the difference.
+
+    Args:
+        state: Of a search beside it.
+        little: Share of the residual.
     """
     while state.best.effects:
         best, effects = state.best, state.best.effects
@@ -222,7 +232,7 @@ def without_small(state: State) -> State:
         if len(effects) > 1:
             state, options = state.fit(fewer)
         least = min(options, key=_residual, default=None)
-        if least is None or _residual(best) < (1.0 - LITTLE) * _residual(least):
+        if least is None or _residual(best) < (1.0 - little) * _residual(least):
             break
         state = replace(state, best=least).noted(effects=least.effects, dropped=True)
     return state

@@ -73,6 +73,16 @@ class Freed:
             return np.zeros((0, self.torques.moved.shape[1]))
         return USUAL_ERROR * self.encoder.moved
 
+    def left(self, state: State, hypothesis: Hypothesis) -> float:
+        """Return the root mean square of the residual that is left, whitened.
+
+        Args:
+            state: Of a search without it.
+            hypothesis: What else acts.
+        """
+        (rows,) = self.problem.residuals([hypothesis])
+        return Amounts.of(state, self.columns()).residual(rows)
+
     def changed(self, problem: ArmRollouts, amounts: Array) -> Freed:
         """Return the joint with other amounts of the changes, (free,).
 
@@ -113,7 +123,7 @@ def estimated(
     followed = following_torque(problem, hypothesis, joint)
     if followed is None:
         return None
-    first = begun(problem, followed, course)
+    first = begun(problem, joint, followed, course)
     if course.knocks and not course.drifts and not first.free.any():
         return None  # nothing is sudden
     freed = _measured(problem, hypothesis, joint, course, first)

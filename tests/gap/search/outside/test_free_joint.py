@@ -253,5 +253,5 @@ def test_only_what_explains_much_beside_a_free_joint_is_kept() -> None:
     damping = AppliedEffect("viscous_damping", "elbow", {"damping": 0.3})
     little = AppliedEffect("coulomb_friction", "shoulder", {"frictionloss": 1e-3})
     state, (both,) = state.fit([(damping, little)])
-    kept = without_small(replace(state, best=both)).best
+    kept = without_small(replace(state, best=both), 0.1).best
     assert kept.names == {Candidate("viscous_damping", "elbow")}

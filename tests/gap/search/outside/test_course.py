@@ -1,0 +1,195 @@
+"""Courses of a torque from outside: slow, but for knocks, or an encoder that errs."""
+
+from __future__ import annotations
+
+import mujoco
+import numpy as np
+import pytest
+from hidden_arms import TURNTABLES, TWO_LINKS, record
+from small_problems import last_state
+
+from rlco.gap.compare.arm.encoder_error import encoder_error
+from rlco.gap.compare.arm.rollouts import ArmRollouts
+from rlco.gap.compare.problem import Hypothesis
+from rlco.gap.compare.segments import command_steps
+from rlco.gap.logs.log import Array
+from rlco.gap.search.find_gap import additions
+from rlco.gap.search.outside.course import USUAL, Course, begun
+from rlco.gap.search.outside.free_joint import free_joint
+from rlco.gap.search.state import State
+from rlco.gap.search.steps.start import start
+from rlco.physics.effects import AppliedEffect
+
+# Of 0.3 s, at these times of every recording [s]; half a sine [N m].
+KNOCKS, LONG, STRONG = (0.8, 2.6), 0.3, 3.0
+
+
+def _knock(time: Array) -> Array:
+    since = np.asarray(time)[..., None] - np.array(KNOCKS)
+    within = (since >= 0.0) & (since < LONG)
+    return STRONG * np.sum(within * np.sin(np.pi * since / LONG), axis=-1)
+
+
+@pytest.fixture(scope="module")
+def quiet() -> ArmRollouts:
+    log = record(xml=TURNTABLES, episodes=2)
+    return ArmRollouts(mujoco.MjSpec.from_string(TURNTABLES), log, np.full(2, 4e-4))
+
+
+def _clocks(problem: ArmRollouts) -> list[Array]:
+    step = float(problem.model.opt.timestep)
+    return [command_steps(one, step) for one in problem.log.recordings]
+
+
+def _drift(time: Array) -> Array:
+    return np.asarray(0.4 + 0.2 * time)
+
+
+def test_a_drift_needs_few_numbers_and_a_knock_many_but_not_for_long(
+    quiet: ArmRollouts,
+) -> None:
+    clocks = _clocks(quiet)
+    torque = {i: _drift(t) + _knock(t) for i, t in enumerate(clocks)}
+    found = begun(quiet, "shoulder", torque, USUAL)
+    assert found.free.all()
+    for times, own in zip(found.knots, found.torques, strict=True):
+        within = _knock(times) > 0.0
+        assert np.diff(times[within]).min() < 0.05
+        away = np.abs(times[:, None] - np.add(KNOCKS, LONG / 2)).min(axis=1)
+        assert (away > 0.5).sum() <= 4  # a knot in 2.5 s, and those at the ends
+        expected = _drift(times) + _knock(times)
+        np.testing.assert_allclose(own, expected, atol=0.05 * STRONG)
+
+
+def test_the_part_that_knocks_is_nothing_before_and_after_them(
+    quiet: ArmRollouts,
+) -> None:
+    torque = {i: _drift(t) + _knock(t) for i, t in enumerate(_clocks(quiet))}
+    found = begun(quiet, "shoulder", torque, Course(knocks=True))
+    times, own = np.concatenate(found.knots), np.concatenate(found.torques)
+    np.testing.assert_allclose(own, _knock(times), atol=0.05 * STRONG)
+    assert not own[~found.free].any()
+    assert 0.0 < found.free.mean() < 1.0
+
+
+def test_a_torque_that_swings_has_no_knocks(quiet: ArmRollouts) -> None:
+    torque = {i: np.sin(6.0 * t) for i, t in enumerate(_clocks(quiet))}
+    found = begun(quiet, "shoulder", torque, USUAL)
+    assert max(map(len, found.knots)) <= 3
+
+
+def test_a_torque_that_drifts_alone_takes_no_knocks(quiet: ArmRollouts) -> None:
+    torque = {i: _drift(t) + _knock(t) for i, t in enumerate(_clocks(quiet))}
+    found = begun(quiet, "shoulder", torque, Course(drifts=True))
+    for times, own in zip(found.knots, found.torques, strict=True):
+        np.testing.assert_allclose(own, _drift(times), atol=0.1)
+
+
+AMPLITUDE, PHASE = 0.06, 0.5  # of a disc that is not centred [rad]
+
+
+def _eccentric(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    data.ctrl[0] -= AMPLITUDE * np.sin(data.qpos[0] + PHASE)
+
+
+def _error(read: Array) -> Array:
+    """Return how much too much is read where something is read."""
+    true = read
+    for _ in range(20):
+        true = read - AMPLITUDE * np.sin(true + PHASE)
+    return np.asarray(AMPLITUDE * np.sin(true + PHASE))
+
+
+@pytest.fixture(scope="module")
+def eccentric() -> ArmRollouts:
+    def damped(model: mujoco.MjModel) -> None:
+        model.dof_damping[0] += 0.3
+
+    log = record(damped, _eccentric, xml=TWO_LINKS, episodes=6)
+    for one in log.recordings:
+        position = one.position[:, 0]
+        position += AMPLITUDE * np.sin(position + PHASE)
+    return ArmRollouts(mujoco.MjSpec.from_string(TWO_LINKS), log, np.full(2, 4e-4))
+
+
+DAMPED = Hypothesis((AppliedEffect("viscous_damping", "shoulder", {"damping": 0.3}),))
+
+
+def _size(problem: ArmRollouts, rows: Array) -> float:
+    """Return the root mean square of residuals over the noise."""
+    return float(np.sqrt(np.mean(rows**2)) / problem.noise[0])
+
+
+def test_with_its_error_put_right_only_noise_is_left(eccentric: ArmRollouts) -> None:
+    (before,) = eccentric.residuals([DAMPED])
+    assert _size(eccentric, before) > 3.0
+    (after,) = eccentric.with_encoder_error("shoulder", _error).residuals([DAMPED])
+    assert _size(eccentric, after) == pytest.approx(1.0, abs=0.06)
+
+
+def test_the_changes_by_an_encoders_error_leave_as_little(
+    eccentric: ArmRollouts,
+) -> None:
+    found = encoder_error(eccentric, DAMPED, "shoulder", range(6))
+    assert found is not None
+    (before,) = eccentric.residuals([DAMPED])
+    after = before + _error(found.position) @ found.moved
+    assert _size(eccentric, after) < 1.3
+
+
+def test_errors_that_are_put_right_one_after_the_other_add_up(
+    eccentric: ArmRollouts,
+) -> None:
+    def half(read: Array) -> Array:
+        return 0.5 * _error(read)
+
+    once = eccentric.with_encoder_error("shoulder", _error)
+    twice = eccentric.with_encoder_error("shoulder", half)
+    twice = twice.with_encoder_error("shoulder", half)
+    np.testing.assert_allclose(
+        *(one.residuals([DAMPED]) for one in (once, twice)), atol=1e-9
+    )
+
+
+def _searched(problem: ArmRollouts, *names: str) -> State:
+    every = [*problem.candidates(), *problem.candidates(uncommon=True)]
+    exclude = {one.name for one in every} - set(names)
+    state = last_state(additions(start(problem, exclude=exclude)))
+    return last_state(free_joint(state, additions))
+
+
+@pytest.mark.slow
+def test_an_effect_is_named_at_the_joint_whose_encoder_errs(
+    eccentric: ArmRollouts,
+) -> None:
+    found = _searched(eccentric, "viscous_damping", "coulomb_friction")
+    (effect,) = found.best.effects
+    assert (effect.name, effect.target) == ("viscous_damping", "shoulder")
+    assert effect.parameters["damping"] == pytest.approx(0.3, rel=0.05)
+    assert found.free_form is not None
+    assert found.free_form.of_encoder
+    position, told = found.free_form.over_position
+    np.testing.assert_allclose(told, _error(position), atol=0.1 * AMPLITUDE)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("hidden", ["viscous_damping", "torque_bias"])
+def test_an_effect_is_named_at_the_joint_that_is_knocked(hidden: str) -> None:
+    def hide(model: mujoco.MjModel) -> None:
+        model.dof_damping[0] += 0.3 * (hidden == "viscous_damping")
+
+    def act(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        bias = 0.15 * (hidden == "torque_bias")
+        data.qfrc_applied[0] = bias + float(_knock(np.asarray(data.time)))
+
+    log = record(hide, act, xml=TURNTABLES, episodes=6)
+    spec = mujoco.MjSpec.from_string(TURNTABLES)
+    problem = ArmRollouts(spec, log, np.full(2, 4e-4))
+    found = _searched(problem, "viscous_damping", "torque_bias")
+    (effect,) = found.best.effects
+    assert (effect.name, effect.target) == (hidden, "shoulder")
+    (value,) = effect.values
+    assert value == pytest.approx(0.15 if hidden == "torque_bias" else 0.3, rel=0.05)
+    assert found.free_form is not None
+    assert found.free_form.target == "shoulder"
+    assert not found.free_form.of_encoder
