@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from rlco.gap.logs.log import Array
-from rlco.physics.effects.targets import actuator_of
+from rlco.physics.effects.targets import actuator_of, dof_of
 
 # A limit shows only below the required torque, and a joint with far too little torque
 # falls whatever else it does. Initial limits are therefore spaced closely enough for a
@@ -65,3 +65,26 @@ def limits(torque: Array) -> tuple[float, ...]:
     low = max(0.6 * float(np.median(torque)), 0.08 * high)
     count = int(np.ceil(np.log(high / low) / np.log(_CLOSE))) + 1
     return tuple(np.geomspace(high, low, min(max(count, 2), _MOST)).tolist())
+
+
+def static_torque(
+    model: mujoco.MjModel, joints: Sequence[str], position: Array
+) -> Array:
+    """Return the torque that holds the joints against gravity.
+
+    Args:
+        model: The robot.
+        joints: Names of the columns.
+        position: (T, joints) [rad or m].
+
+    Returns:
+        (T, joints) [N m or N].
+    """
+    data, torque = mujoco.MjData(model), np.empty(np.shape(position))
+    places = [model.joint(name).qposadr[0] for name in joints]
+    dofs = [dof_of(model, name) for name in joints]
+    for row, values in enumerate(position):
+        data.qpos[places] = values
+        mujoco.mj_forward(model, data)
+        torque[row] = data.qfrc_bias[dofs]
+    return torque

@@ -16,10 +16,12 @@ from typing import Any
 import mujoco
 import numpy as np
 
+from rlco.gap.compare.arm.channels import joint_commands, layout_of
 from rlco.gap.compare.arm.command_changes import CommandChanges
 from rlco.gap.compare.arm.divergence import diverged
 from rlco.gap.compare.arm.kernel import Outside
-from rlco.gap.compare.arm.needed_torque import limits, servo_torque
+from rlco.gap.compare.arm.needed_torque import limits, servo_torque, static_torque
+from rlco.gap.compare.arm.read_wrong import read_wrong
 from rlco.gap.compare.arm.step_through import NONE, step_through
 from rlco.gap.compare.model_tolerance import apply_tolerance, tolerance_names
 from rlco.gap.compare.problem import (
@@ -27,19 +29,17 @@ from rlco.gap.compare.problem import (
     Candidate,
     Hypothesis,
     Integers,
-    Layout,
     Problem,
     Run,
 )
 from rlco.gap.compare.segments import (
     Segment,
-    command_steps,
     held_commands,
     joint_velocity,
     parts_of,
     segments_of,
 )
-from rlco.gap.logs.log import Array, Log, Recording
+from rlco.gap.logs.log import Array, Log
 from rlco.physics.effects import searched
 from rlco.physics.effects.actuator import TORQUE_LIMIT
 from rlco.physics.effects.apply import (
@@ -52,8 +52,6 @@ from rlco.physics.effects.apply import (
 from rlco.physics.effects.targets import actuator_of, dof_of
 from rlco.physics.effects.transmission import COMPLIANCE_SUFFIX
 from rlco.physics.mj.libmujoco import silenced_warnings
-
-_NEAR = 1e-4  # of a position, for the slope of an error there [rad or m]
 
 
 class ArmRollouts(Problem):
@@ -101,7 +99,7 @@ class ArmRollouts(Problem):
             for index, recording in enumerate(log.recordings)
             for segment in segments_of(index, recording, step, horizon)
         ]
-        self.layout = self._layout()
+        self.layout = layout_of(self.model, log, self.segments)
         self._torques: tuple[str, Mapping[int, Array]] | None = None
         self._pushes: Mapping[int, Array] = {}
         self._as_read: Mapping[int, Array] = {}
@@ -188,8 +186,8 @@ class ArmRollouts(Problem):
     def traces(self, hypothesis: Hypothesis, recording: int) -> Mapping[str, Array]:
         """Return the signals of one recording, see `Problem.traces`."""
         log = self.log.recordings[recording]
-        position, velocity = log.position, joint_velocity(log)
-        simulated = np.array(position, dtype=float)
+        measured, velocity = np.array(log.position, dtype=float), joint_velocity(log)
+        simulated = measured.copy()
         residual = self.residuals([hypothesis], [recording])[0]
         rows = np.concatenate(
             [
@@ -201,12 +199,12 @@ class ArmRollouts(Problem):
         simulated[rows] -= residual.reshape(len(rows), -1)
         return {
             "time": log.time,
-            "measured": np.array(position, dtype=float),
+            "measured": measured,
             "simulated": simulated,
             "velocity": velocity,
             "acceleration": np.gradient(velocity, log.time, axis=0),
-            "command": self._joint_commands(log),
-            "torque": self._static_torque(np.array(position, dtype=float)),
+            "command": joint_commands(self.model, self.log, log, self._columns),
+            "torque": static_torque(self.model, self.log.joints, measured),
         }
 
     def runs(self, hypothesis: Hypothesis, recordings: Sequence[int]) -> list[Run]:
@@ -294,30 +292,23 @@ class ArmRollouts(Problem):
         """
         other, step = copy(self), float(self.model.opt.timestep)
         column, actuator = self.log.joints.index(joint), actuator_of(self.model, joint)
-        other._positions, other.segments = [], []
-        other._pushes, other._as_read = {}, {}
-        for index, log in enumerate(self.log.recordings):
-            read = np.asarray(log.position, dtype=float)[:, column]
+        other._positions, other._pushes, other._as_read = [], {}, {}
+        errors = [read_wrong(one, column, error, step) for one in self.log.recordings]
+        for index, one in enumerate(errors):
             right = self._positions[index].copy()
-            right[:, column] -= error(read)
+            right[:, column] -= one.at_rows
             other._positions.append(right)
-            times = command_steps(log, step)
-            push = np.zeros((len(times), self.model.nu))
-            push[:, actuator] = -error(np.interp(times, log.time, read))
+            push = np.zeros((len(one.at_steps), self.model.nu))
+            push[:, actuator] = -one.at_steps
             other._pushes[index] = self._pushes.get(index, 0.0) + push
-            # Residuals stay what the encoder reads: else a large error, which makes
-            # positions small, would make them small, too.
-            more = (error(read + _NEAR) - error(read - _NEAR)) / (2.0 * _NEAR)
             slope = 1.0 / self._as_read.get(index, np.ones_like(right))
-            slope[:, column] -= more
+            slope[:, column] -= one.slope
             other._as_read[index] = 1.0 / slope
-        for segment in self.segments:
-            log, state = self.log.recordings[segment.recording], segment.state.copy()
-            read = np.asarray(log.position, dtype=float)[
-                segment.first : segment.first + 1
-            ]
-            state[0, column] -= error(read[:, column])[0]
-            other.segments.append(replace(segment, state=state))
+        states = [one.state.copy() for one in self.segments]
+        for segment, state in zip(self.segments, states, strict=True):
+            state[0, column] -= errors[segment.recording].at_rows[segment.first]
+        pairs = zip(self.segments, states, strict=True)
+        other.segments = [replace(one, state=state) for one, state in pairs]
         return other
 
     def _outside(self, model: mujoco.MjModel, segment: Segment) -> Outside | None:
@@ -328,50 +319,6 @@ class ArmRollouts(Problem):
         steps = slice(segment.steps, segment.steps + segment.commands)
         torque = np.ascontiguousarray(torques[segment.recording][steps])
         return NONE._replace(dof=dof_of(model, joint), torque=torque)
-
-    def _joint_commands(self, log: Recording) -> Array:
-        commands = np.array(log.position, dtype=float)
-        sent = np.array(log.command, dtype=float)
-        for column, name in enumerate(self.log.joints):
-            actuator = actuator_of(self.model, name)
-            if actuator in self._columns:
-                commands[:, column] = sent[:, self._columns.index(actuator)]
-        return commands
-
-    def _static_torque(self, position: Array) -> Array:
-        """Return the torque against gravity in each row, (T, joints)."""
-        data = mujoco.MjData(self.model)
-        torque = np.empty_like(position)
-        for row, joints in enumerate(position):
-            for column, name in enumerate(self.log.joints):
-                data.qpos[self.model.joint(name).qposadr[0]] = joints[column]
-            mujoco.mj_forward(self.model, data)
-            for column, name in enumerate(self.log.joints):
-                torque[row, column] = data.qfrc_bias[dof_of(self.model, name)]
-        return torque
-
-    def _layout(self) -> Layout:
-        joints = len(self.log.joints)
-        recording, time = [], []
-        for segment in self.segments:
-            rows = np.arange(segment.begin, segment.last + 1)
-            times = self.log.recordings[segment.recording].time[rows]
-            recording.append(np.full(len(rows) * joints, segment.recording))
-            time.append(np.repeat(times, joints))
-        total = sum(len(part) for part in time)
-        slides = mujoco.mjtJoint.mjJNT_SLIDE
-        units = tuple(
-            "m" if self.model.joint(name).type[0] == slides else "rad"
-            for name in self.log.joints
-        )
-        channel = np.tile(np.arange(joints), total // joints)
-        return Layout(
-            np.concatenate(recording),
-            np.concatenate(time),
-            channel,
-            tuple(self.log.joints),
-            units,
-        )
 
     def simulate(
         self,

@@ -1,0 +1,63 @@
+"""What an arm's log has a column for: the joints that are compared, their commands."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mujoco
+import numpy as np
+
+from rlco.gap.compare.problem import Layout
+from rlco.gap.compare.segments import Segment
+from rlco.gap.logs.log import Array, Log, Recording
+from rlco.physics.effects.targets import actuator_of
+
+
+def layout_of(model: mujoco.MjModel, log: Log, segments: Sequence[Segment]) -> Layout:
+    """Return what each residual of some segments is of.
+
+    Args:
+        model: The robot.
+        log: Its joints, whose positions are compared.
+        segments: In each, every joint of every row that is compared.
+    """
+    joints = len(log.joints)
+    recording, time = [], []
+    for segment in segments:
+        rows = np.arange(segment.begin, segment.last + 1)
+        times = log.recordings[segment.recording].time[rows]
+        recording.append(np.full(len(rows) * joints, segment.recording))
+        time.append(np.repeat(times, joints))
+    total = sum(len(part) for part in time)
+    slides = mujoco.mjtJoint.mjJNT_SLIDE
+    units = tuple(
+        "m" if model.joint(name).type[0] == slides else "rad" for name in log.joints
+    )
+    channel = np.tile(np.arange(joints), total // joints)
+    return Layout(
+        np.concatenate(recording),
+        np.concatenate(time),
+        channel,
+        tuple(log.joints),
+        units,
+    )
+
+
+def joint_commands(
+    model: mujoco.MjModel, log: Log, recording: Recording, columns: Sequence[int]
+) -> Array:
+    """Return the command of each joint in each row; where it has none, its position.
+
+    Args:
+        model: The robot.
+        log: Its joints.
+        recording: (T, joints) is returned of it.
+        columns: Actuator of each of the recording's commands.
+    """
+    commands = np.array(recording.position, dtype=float)
+    sent = np.array(recording.command, dtype=float)
+    for column, name in enumerate(log.joints):
+        actuator = actuator_of(model, name)
+        if actuator in columns:
+            commands[:, column] = sent[:, list(columns).index(actuator)]
+    return commands
