@@ -20,7 +20,7 @@ from rlco.gap.logs.log import Array
 from rlco.physics.effects.targets import actuator_of
 
 _SMALL = 0.005  # size of the error that is tried [rad or m]
-_KNOTS = 10  # of an error that is smooth
+KNOTS = 10  # of an error that is smooth
 _QUANTILES = np.linspace(0.01, 0.99, 8)  # of the position: knots of its error
 
 
@@ -52,6 +52,7 @@ def encoder_error(
     hypothesis: Hypothesis,
     joint: str,
     recordings: Sequence[int],
+    count: int = KNOTS,
 ) -> EncoderError | None:
     """Return what an error of a joint's encoder would change; None without a motor.
 
@@ -63,6 +64,7 @@ def encoder_error(
         hypothesis: What acts already.
         joint: Its servo reads the encoder.
         recordings: Their residuals, in the order of the layout.
+        count: Number of knots.
     """
     actuator = actuator_of(problem.model, joint)
     if actuator < 0 or servo_gain(problem, hypothesis, actuator) == 0.0:
@@ -74,7 +76,7 @@ def encoder_error(
     low, high = float(position.min()), float(position.max())
     if low == high:
         return None
-    knots: Array = np.linspace(low, high, _KNOTS, dtype=float)
+    knots: Array = np.linspace(low, high, count, dtype=float)
     rows = [problem.residuals([hypothesis], recordings)]
     for amounts in _SMALL * np.eye(len(knots)):
         put_right = problem.with_encoder_error(joint, _error(knots, amounts))

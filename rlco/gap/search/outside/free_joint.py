@@ -14,7 +14,7 @@ course is allowed where this leaves more than noise.
 
 from __future__ import annotations
 
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -46,10 +46,10 @@ SIMPLER = 1.05  # of the residual that a part of a course may leave instead
 FEW = 0.1  # the same of a course that has few amounts
 FEWER = 0.05  # the same where it leaves fewer effects to be named
 JOINTS = 2  # that are tried
+ROUGHLY = 6  # knots of an encoder's error, to see which joint it explains most at
 LITTLE = 0.1  # the same of an effect beside a torque of any course
 LITTLE_OF_FEW = 0.03  # and beside one of few amounts
 _ENCODER = (ENCODER_SCALE.name, JOINT_OFFSET.name)
-_SEARCHES = 2  # each beside the torque that is left by what the one before found
 
 
 def free_joint(state: State, additions: Additions) -> Generator[State, None, State]:
@@ -97,22 +97,51 @@ def _at_joint(
     Returns:
         The last state of the search to follow; None where the joint explains little.
     """
-    usual = yield from _beside(state, problem, base, joint, USUAL, additions)
+    effects = tuple(one for one in base.effects if not _is_of_encoder(one, joint))
+    # One at the joint that made up for a part of what acts there hides the part.
+    others = tuple(one for one in effects if one.target != joint)
+    usual = yield from _beside(state, problem, others, joint, USUAL, additions)
     if usual is None or _residual(usual.best) > LARGE:
-        return (yield from _beside(state, problem, base, joint, ANY, additions))
+        yield state
+        return (yield from _again(state, problem, effects, joint, ANY, additions))
     # Beside less, more can be told: a drift replaces a constant torque, an error of the
     # encoder an offset. A part that leaves as little is what acts.
     least = SIMPLER * _residual(usual.best)
-    known = Hypothesis(usual.best.effects)
-    for part in PARTS:
-        if known.effects:
-            freed = estimated(state, problem, known, joint, part)
-            if freed is None or freed.left(state, known) > least:
-                continue
-        found = yield from _beside(state, problem, usual.best, joint, part, additions)
+    known = usual.best.effects
+    for part in _parts(state, problem, known, joint, least):
+        found = yield from _again(state, problem, known, joint, part, additions)
         if found is not None and _names(found) and _residual(found.best) <= least:
             return found
-    return usual
+    if not known:
+        return usual
+    again = yield from _beside(state, problem, known, joint, USUAL, additions)
+    return usual if again is None else again
+
+
+def _parts(
+    state: State,
+    problem: ArmRollouts,
+    effects: tuple[AppliedEffect, ...],
+    joint: str,
+    least: float,
+) -> Sequence[Course]:
+    """Return parts of the usual course that may suffice, the best first.
+
+    Args:
+        state: Of a search without any.
+        problem: Its robot and log.
+        effects: That were named beside the whole; without any, no part is ruled out.
+        joint: The joint.
+        least: Residual that a part may leave.
+    """
+    if not effects:
+        return PARTS
+    hypothesis, left = Hypothesis(effects), {}
+    for part in PARTS:
+        freed = estimated(state, problem, hypothesis, joint, part)
+        if freed is not None:
+            left[part] = freed.left(state, hypothesis)
+    return sorted((one for one in left if left[one] <= least), key=left.__getitem__)
 
 
 def _names(found: State) -> bool:
@@ -159,7 +188,7 @@ def _left(state: State, base: Scored, joint: str) -> float:
         left = Amounts.of(state, _no_columns(problem)).residual(rows)
     if base not in (state.best, state.none):
         return left
-    encoder = encoder_error(problem, hypothesis, joint, logs)
+    encoder = encoder_error(problem, hypothesis, joint, logs, ROUGHLY)
     if encoder is not None:
         (rows,) = problem.residuals([hypothesis])
         columns = USUAL_ERROR * encoder.moved
@@ -177,39 +206,56 @@ def _singles(state: State) -> list[Scored]:
     return sorted(singles, key=lambda one: one.fit.cost)[:3]
 
 
+def _again(
+    state: State,
+    problem: ArmRollouts,
+    effects: tuple[AppliedEffect, ...],
+    joint: str,
+    course: Course,
+    additions: Additions,
+) -> Generator[State, None, State | None]:
+    """Yield as `_beside` does, twice where the first finds others than it began with.
+
+    What acts at the joint is estimated beside what is known of the effects.
+    """
+    found = yield from _beside(state, problem, effects, joint, course, additions)
+    if found is None or found.best.names == frozenset(candidates_of(effects)):
+        return found
+    known = found.best.effects
+    return (yield from _beside(state, problem, known, joint, course, additions))
+
+
 def _beside(
     state: State,
     problem: ArmRollouts,
-    base: Scored,
+    effects: tuple[AppliedEffect, ...],
     joint: str,
     course: Course,
     additions: Additions,
 ) -> Generator[State, None, State | None]:
     """Yield the given state at each step of a search beside a course at a joint.
 
+    Args:
+        state: Of a search without it.
+        problem: Its robot and log.
+        effects: That the search begins with.
+        joint: The joint.
+        course: What may act there.
+        additions: How a search goes on.
+
     Returns:
         The last state of that search; None where it explains little.
     """
-    effects = tuple(one for one in base.effects if not _is_of_encoder(one, joint))
-    if course == USUAL:
-        # One that made up for a part of what acts there hides which part it is.
-        effects = tuple(one for one in effects if one.target != joint)
-    freed, found = None, state
-    for _ in range(_SEARCHES):
-        # What acts there is estimated beside what is known of the effects.
-        freed = estimated(state, problem, Hypothesis(effects), joint, course)
-        begun = None if freed is None else _begun(state, freed, effects)
-        if freed is None or begun is None:
-            return None
-        found = begun
-        for step in additions(begun):
-            found = step
-            yield state  # what is found is kept aside until it is whole
-        found = without_small(found, LITTLE if course == ANY else LITTLE_OF_FEW)
-        known, effects = effects, found.best.effects
-        if candidates_of(effects) == candidates_of(known):
-            break
-    if freed is None or not _is_worth_it(state.best, found.best, course):
+    freed = estimated(state, problem, Hypothesis(effects), joint, course)
+    begun = None if freed is None else _begun(state, freed, effects)
+    if freed is None or begun is None:
+        return None
+    found = begun
+    for step in additions(begun):
+        found = step
+        yield state  # what is found is kept aside until it is whole
+    found = without_small(found, LITTLE if course == ANY else LITTLE_OF_FEW)
+    if not _is_worth_it(state.best, found.best, course):
         return None
     form = drawn(state, problem, found, freed)
     return replace(found, as_it_is=problem, free_form=form)
