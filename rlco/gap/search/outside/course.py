@@ -52,8 +52,9 @@ class Course:
 
 ANY = Course(any=True)
 USUAL = Course(drifts=True, knocks=True, misreads=True)
-#: Parts of the usual, beside which a constant torque or an offset is an effect again.
-PARTS = (Course(knocks=True), Course(misreads=True), Course(drifts=True))
+#: Parts of the usual, beside which a constant torque or an offset is an effect again;
+#: those with fewer amounts first.
+PARTS = (Course(misreads=True), Course(drifts=True), Course(knocks=True))
 
 
 @dataclass(frozen=True)

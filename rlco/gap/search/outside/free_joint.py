@@ -178,7 +178,9 @@ def _left(state: State, base: Scored, joint: str) -> float:
         base: The effects.
         joint: The joint.
     """
-    problem, hypothesis = state.setting.problem, Hypothesis(base.effects)
+    problem, some = state.setting.problem, base.effects
+    # What the library says of its encoder would count twice.
+    hypothesis = Hypothesis(tuple(e for e in some if not _is_of_encoder(e, joint)))
     left, logs = float("inf"), range(len(problem.log.recordings))
     if not isinstance(problem, ArmRollouts):
         return left
