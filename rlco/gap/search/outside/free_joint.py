@@ -101,9 +101,11 @@ def _at_joint(
     # One at the joint that made up for a part of what acts there hides the part.
     others = tuple(one for one in effects if one.target != joint)
     usual = yield from _beside(state, problem, others, joint, USUAL, additions)
-    if usual is None or _residual(usual.best) > LARGE:
+    if usual is None or not _is_enough(state.best, usual.best):
         yield state
-        return (yield from _again(state, problem, effects, joint, ANY, additions))
+        found = yield from _again(state, problem, effects, joint, ANY, additions)
+        worth = found is not None and _is_worth_it(state.best, found.best, GAIN)
+        return found if worth else None
     # Beside less, more can be told: a drift replaces a constant torque, an error of the
     # encoder an offset. A part that leaves as little is what acts.
     least = SIMPLER * _residual(usual.best)
@@ -246,7 +248,7 @@ def _beside(
         additions: How a search goes on.
 
     Returns:
-        The last state of that search; None where it explains little.
+        The last state of that search; None where the robot diverges.
     """
     freed = estimated(state, problem, Hypothesis(effects), joint, course)
     begun = None if freed is None else _begun(state, freed, effects)
@@ -257,8 +259,6 @@ def _beside(
         found = step
         yield state  # what is found is kept aside until it is whole
     found = without_small(found, LITTLE if course == ANY else LITTLE_OF_FEW)
-    if not _is_worth_it(state.best, found.best, course):
-        return None
     form = drawn(state, problem, found, freed)
     return replace(found, as_it_is=problem, free_form=form)
 
@@ -294,11 +294,15 @@ def _residual(one: Scored) -> float:
     return float(np.sqrt(np.mean(one.everything**2)))
 
 
-def _is_worth_it(before: Scored, found: Scored, course: Course) -> bool:
+def _is_enough(before: Scored, found: Scored) -> bool:
+    """Return whether the usual course at a joint leaves no more than noise."""
+    return _residual(found) <= LARGE and _is_worth_it(before, found, FEW)
+
+
+def _is_worth_it(before: Scored, found: Scored, gain: float) -> bool:
     """Return whether a free joint explains enough to be named for."""
     fewer = len(found.effects) < len(before.effects)
-    least = FEWER if fewer else GAIN if course == ANY else FEW
-    return _residual(found) < (1.0 - least) * _residual(before)
+    return _residual(found) < (1.0 - (FEWER if fewer else gain)) * _residual(before)
 
 
 def _begun(
