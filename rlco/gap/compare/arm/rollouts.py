@@ -7,7 +7,7 @@ a robot that does not, rollouts restart from the measurement repeatedly (`segmen
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
@@ -40,7 +40,7 @@ from rlco.gap.compare.segments import (
     segments_of,
 )
 from rlco.gap.logs.log import Array, Log
-from rlco.physics.effects import searched
+from rlco.physics.effects import AppliedEffect, searched
 from rlco.physics.effects.actuator import TORQUE_LIMIT
 from rlco.physics.effects.apply import (
     apply_to_commands,
@@ -215,8 +215,7 @@ class ArmRollouts(Problem):
         for segment in self.segments:
             if segment.recording not in recordings:
                 continue
-            sent = apply_to_commands(self._commands[segment.recording], model, effects)
-            sent = sent + self._pushes.get(segment.recording, 0.0)
+            sent = self._received(segment.recording, model, effects)
             qpos, qvel = model.qpos0.copy(), np.zeros(model.nv)
             qpos[positions] = true_positions(segment.state[0], self.log.joints, effects)
             qvel[speeds] = segment.state[1]
@@ -311,6 +310,15 @@ class ArmRollouts(Problem):
         other.segments = [replace(one, state=state) for one, state in pairs]
         return other
 
+    def _received(
+        self, index: int, model: mujoco.MjModel, effects: Iterable[AppliedEffect]
+    ) -> Array:
+        """Return a recording's commands as the actuators receive them, (steps, nu)."""
+        received = apply_to_commands(self._commands[index], model, effects)
+        if index in self._pushes:
+            received = received + self._pushes[index]
+        return received
+
     def _outside(self, model: mujoco.MjModel, segment: Segment) -> Outside | None:
         """Return a segment's torque from outside."""
         if self._torques is None or segment.recording not in self._torques[1]:
@@ -343,10 +351,7 @@ class ArmRollouts(Problem):
         for segment in segments:
             index = segment.recording
             if index not in filtered:
-                sent = self._commands[index]
-                filtered[index] = apply_to_commands(sent, model, effects)
-                if index in self._pushes:
-                    filtered[index] = filtered[index] + self._pushes[index]
+                filtered[index] = self._received(index, model, effects)
                 if push is not None and index in push:
                     filtered[index] = filtered[index] + push[index]
             commands = filtered[index][segment.steps : segment.steps + segment.commands]

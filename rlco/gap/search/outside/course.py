@@ -3,7 +3,7 @@
 A torque of any course replaces every effect at its joint, so beside it none can be
 named there. But what acts from outside is mostly one of three things: it drifts, over
 seconds; it knocks, for fractions of a second; or the encoder errs with the position.
-What is only this leaves effects at the very joint to be told, since these go with its
+Beside only this, effects at the very joint are told apart, since these go with its
 motion.
 """
 

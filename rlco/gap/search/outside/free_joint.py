@@ -15,7 +15,7 @@ course is allowed where this leaves more than noise.
 from __future__ import annotations
 
 from collections.abc import Generator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -24,13 +24,12 @@ from rlco.gap.compare.arm.following_torque import following_torque
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Candidate, Hypothesis
 from rlco.gap.compare.stability.instability import UnstableModelError
-from rlco.gap.logs.log import Array
 from rlco.gap.search.fit import candidates_of
 from rlco.gap.search.judge import NAMED, kind
 from rlco.gap.search.outside.course import ANY, PARTS, USUAL, Course
 from rlco.gap.search.outside.drawn import drawn
 from rlco.gap.search.outside.freed import USUAL_ERROR, Amounts, Freed, estimated
-from rlco.gap.search.setting import Scored
+from rlco.gap.search.setting import Free, Scored
 from rlco.gap.search.state import State
 from rlco.gap.search.steps.closing import SENSITIVE
 from rlco.gap.search.steps.drop import drop
@@ -41,15 +40,39 @@ from rlco.physics.effects.sensing import ENCODER_SCALE, JOINT_OFFSET
 from rlco.physics.effects.targets import actuator_of
 
 LARGE = 1.15  # residual over the noise, in all recordings, for which a joint is freed
-GAIN = 0.3  # share of this residual that setting a joint free must remove
-SIMPLER = 1.05  # of the residual that a part of a course may leave instead
+GAIN = 0.3  # share of this residual that a torque of any course must remove
 FEW = 0.1  # the same of a course that has few amounts
 FEWER = 0.05  # the same where it leaves fewer effects to be named
+SIMPLER = 1.05  # ratio to the residual of a course that a part of it may leave instead
+LITTLE = 0.1  # share that an effect must explain beside a torque of any course
+LITTLE_OF_FEW = 0.03  # the same beside a course of few amounts
 JOINTS = 2  # that are tried
 ROUGHLY = 6  # knots of an encoder's error, to see which joint it explains most at
-LITTLE = 0.1  # the same of an effect beside a torque of any course
-LITTLE_OF_FEW = 0.03  # and beside one of few amounts
 _ENCODER = (ENCODER_SCALE.name, JOINT_OFFSET.name)
+
+Effects = tuple[AppliedEffect, ...]
+
+
+@dataclass(frozen=True)
+class _AtJoint:
+    """Where searches with a joint free are made.
+
+    Attributes:
+        state: Of a search without it.
+        problem: Its robot and log.
+        joint: The joint.
+        additions: How a search goes on.
+    """
+
+    state: State
+    problem: ArmRollouts
+    joint: str
+    additions: Additions
+
+    def freed(self, effects: Effects, course: Course) -> Freed | None:
+        """Return the joint set free beside effects; None where the robot diverges."""
+        hypothesis = Hypothesis(effects)
+        return estimated(self.state, self.problem, hypothesis, self.joint, course)
 
 
 def free_joint(state: State, additions: Additions) -> Generator[State, None, State]:
@@ -75,7 +98,8 @@ def free_joint(state: State, additions: Additions) -> Generator[State, None, Sta
         return state
     for base, joint in _likely(state, problem)[:JOINTS]:
         yield state
-        found = yield from _at_joint(state, problem, base, joint, additions)
+        at = _AtJoint(state, problem, joint, additions)
+        found = yield from _searched(at, base.effects)
         if found is None:
             continue
         if _names(found):
@@ -85,65 +109,58 @@ def free_joint(state: State, additions: Additions) -> Generator[State, None, Sta
     return state
 
 
-def _at_joint(
-    state: State,
-    problem: ArmRollouts,
-    base: Scored,
-    joint: str,
-    additions: Additions,
-) -> Generator[State, None, State | None]:
+def _searched(at: _AtJoint, base: Effects) -> Generator[State, None, State | None]:
     """Yield the given state at each step of searches with a joint free.
+
+    Args:
+        at: The joint.
+        base: Effects beside which it explains most.
 
     Returns:
         The last state of the search to follow; None where the joint explains little.
     """
-    effects = tuple(one for one in base.effects if not _is_of_encoder(one, joint))
+    effects = tuple(one for one in base if not _is_of_encoder(one, at.joint))
     # One at the joint that made up for a part of what acts there hides the part.
-    others = tuple(one for one in effects if one.target != joint)
-    usual = yield from _beside(state, problem, others, joint, USUAL, additions)
-    if usual is None or not _is_enough(state.best, usual.best):
-        yield state
-        found = yield from _again(state, problem, effects, joint, ANY, additions)
-        worth = found is not None and _is_worth_it(state.best, found.best, GAIN)
+    others = tuple(one for one in effects if one.target != at.joint)
+    usual = yield from _beside(at, others, USUAL)
+    if usual is None or not _is_enough(at.state.best, usual.best):
+        yield at.state
+        found = yield from _again(at, effects, ANY)
+        worth = found is not None and _is_worth_it(at.state.best, found.best, GAIN)
         return found if worth else None
-    # Beside less, more can be told: a drift replaces a constant torque, an error of the
-    # encoder an offset. A part that leaves as little is what acts.
+    # Beside less, more is told apart: a drift replaces a constant torque, an error of
+    # the encoder an offset. A part that leaves as little is what acts.
     least = SIMPLER * _residual(usual.best)
     known = usual.best.effects
-    for part in _parts(state, problem, known, joint, least):
-        found = yield from _again(state, problem, known, joint, part, additions)
+    for part in _parts(at, known, least):
+        found = yield from _again(at, known, part)
         if found is not None and _names(found) and _residual(found.best) <= least:
             return found
     if not known:
         return usual
-    again = yield from _beside(state, problem, known, joint, USUAL, additions)
+    again = yield from _beside(at, known, USUAL)
     return usual if again is None else again
 
 
-def _parts(
-    state: State,
-    problem: ArmRollouts,
-    effects: tuple[AppliedEffect, ...],
-    joint: str,
-    least: float,
-) -> Sequence[Course]:
+def _parts(at: _AtJoint, effects: Effects, least: float) -> Sequence[Course]:
     """Return parts of the usual course that may suffice, the best first.
 
     Args:
-        state: Of a search without any.
-        problem: Its robot and log.
+        at: The joint.
         effects: That were named beside the whole; without any, no part is ruled out.
-        joint: The joint.
         least: Residual that a part may leave.
     """
     if not effects:
         return PARTS
-    hypothesis, left = Hypothesis(effects), {}
-    for part in PARTS:
-        freed = estimated(state, problem, hypothesis, joint, part)
-        if freed is not None:
-            left[part] = freed.left(state, hypothesis)
-    return sorted((one for one in left if left[one] <= least), key=left.__getitem__)
+    every = {part: at.freed(effects, part) for part in PARTS}
+    hypothesis = Hypothesis(effects)
+    residual = {
+        part: freed.residual(at.state, hypothesis)
+        for part, freed in every.items()
+        if freed is not None
+    }
+    enough = (part for part in residual if residual[part] <= least)
+    return sorted(enough, key=residual.__getitem__)
 
 
 def _names(found: State) -> bool:
@@ -162,7 +179,7 @@ def _likely(state: State, problem: ArmRollouts) -> list[tuple[Scored, str]]:
     for joint in problem.log.joints:
         if actuator_of(problem.model, joint) < 0:
             continue
-        errors = {names: _left(state, one, joint) for names, one in bases.items()}
+        errors = {n: _with_free(state, problem, b, joint) for n, b in bases.items()}
         best = min(errors, key=errors.__getitem__)
         if errors[best] > (1.0 - FEWER) * errors[state.none.names]:
             best = state.none.names  # what explains little is found again
@@ -172,36 +189,32 @@ def _likely(state: State, problem: ArmRollouts) -> list[tuple[Scored, str]]:
     return [(base, joint) for _, base, joint in found]
 
 
-def _left(state: State, base: Scored, joint: str) -> float:
-    """Return about what is left where a joint is free beside some effects.
+def _with_free(state: State, problem: ArmRollouts, base: Scored, joint: str) -> float:
+    """Return about the residual with a joint free beside some effects.
 
     Args:
         state: Of a search without it.
+        problem: Its robot and log.
         base: The effects.
         joint: The joint.
     """
-    problem, some = state.setting.problem, base.effects
     # What the library says of its encoder would count twice.
-    hypothesis = Hypothesis(tuple(e for e in some if not _is_of_encoder(e, joint)))
-    left, logs = float("inf"), range(len(problem.log.recordings))
-    if not isinstance(problem, ArmRollouts):
-        return left
+    effects = tuple(e for e in base.effects if not _is_of_encoder(e, joint))
+    hypothesis, residual = Hypothesis(effects), float("inf")
     torque = following_torque(problem, hypothesis, joint)
     if torque is not None:
         (rows,) = problem.with_torques(joint, torque).residuals([hypothesis])
-        left = Amounts.of(state, _no_columns(problem)).residual(rows)
+        nothing = np.zeros((0, len(problem.layout.channel)))
+        residual = Amounts.of(state, nothing).residual(rows)
     if base not in (state.best, state.none):
-        return left
+        return residual
+    logs = range(len(problem.log.recordings))
     encoder = encoder_error(problem, hypothesis, joint, logs, ROUGHLY)
     if encoder is not None:
         (rows,) = problem.residuals([hypothesis])
         columns = USUAL_ERROR * encoder.moved
-        left = min(left, Amounts.of(state, columns).residual(rows))
-    return left
-
-
-def _no_columns(problem: ArmRollouts) -> Array:
-    return np.zeros((0, len(problem.layout.channel)))
+        residual = min(residual, Amounts.of(state, columns).residual(rows))
+    return residual
 
 
 def _singles(state: State) -> list[Scored]:
@@ -211,56 +224,42 @@ def _singles(state: State) -> list[Scored]:
 
 
 def _again(
-    state: State,
-    problem: ArmRollouts,
-    effects: tuple[AppliedEffect, ...],
-    joint: str,
-    course: Course,
-    additions: Additions,
+    at: _AtJoint, effects: Effects, course: Course
 ) -> Generator[State, None, State | None]:
     """Yield as `_beside` does, twice where the first finds others than it began with.
 
     What acts at the joint is estimated beside what is known of the effects.
     """
-    found = yield from _beside(state, problem, effects, joint, course, additions)
+    found = yield from _beside(at, effects, course)
     if found is None or found.best.names == frozenset(candidates_of(effects)):
         return found
-    known = found.best.effects
-    return (yield from _beside(state, problem, known, joint, course, additions))
+    return (yield from _beside(at, found.best.effects, course))
 
 
 def _beside(
-    state: State,
-    problem: ArmRollouts,
-    effects: tuple[AppliedEffect, ...],
-    joint: str,
-    course: Course,
-    additions: Additions,
+    at: _AtJoint, effects: Effects, course: Course
 ) -> Generator[State, None, State | None]:
     """Yield the given state at each step of a search beside a course at a joint.
 
     Args:
-        state: Of a search without it.
-        problem: Its robot and log.
+        at: The joint.
         effects: That the search begins with.
-        joint: The joint.
         course: What may act there.
-        additions: How a search goes on.
 
     Returns:
         The last state of that search; None where the robot diverges.
     """
-    freed = estimated(state, problem, Hypothesis(effects), joint, course)
-    begun = None if freed is None else _begun(state, freed, effects)
+    freed = at.freed(effects, course)
+    begun = None if freed is None else _begun(at.state, freed, effects)
     if freed is None or begun is None:
         return None
     found = begun
-    for step in additions(begun):
+    for step in at.additions(begun):
         found = step
-        yield state  # what is found is kept aside until it is whole
+        yield at.state  # what is found is kept aside until it is whole
     found = without_small(found, LITTLE if course == ANY else LITTLE_OF_FEW)
-    form = drawn(state, problem, found, freed)
-    return replace(found, as_it_is=problem, free_form=form)
+    form = drawn(at.state, at.problem, found, freed)
+    return replace(found, as_it_is=at.problem, free_form=form)
 
 
 def without_small(state: State, little: float) -> State:
@@ -305,9 +304,7 @@ def _is_worth_it(before: Scored, found: Scored, gain: float) -> bool:
     return _residual(found) < (1.0 - (FEWER if fewer else gain)) * _residual(before)
 
 
-def _begun(
-    state: State, freed: Freed, effects: tuple[AppliedEffect, ...]
-) -> State | None:
+def _begun(state: State, freed: Freed, effects: Effects) -> State | None:
     """Return the first state of a search with a joint free; None where it diverges.
 
     Args:
@@ -321,7 +318,7 @@ def _begun(
             freed.problem,
             spread=float(np.max(setting.prior, initial=0.0)),
             exclude=setting.excluded,
-            free=freed.as_free(),
+            free=Free(freed.columns()),
         )
     except UnstableModelError:
         return None  # with that torque and no effect, the robot runs away

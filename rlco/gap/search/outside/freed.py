@@ -27,7 +27,6 @@ from rlco.gap.compare.arm.torque_over_time import (
 from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.logs.log import Array
 from rlco.gap.search.outside.course import Begun, Course, begun
-from rlco.gap.search.setting import Free
 from rlco.gap.search.state import State
 from rlco.gap.search.whitening import often
 
@@ -73,8 +72,8 @@ class Freed:
             return np.zeros((0, self.torques.moved.shape[1]))
         return USUAL_ERROR * self.encoder.moved
 
-    def left(self, state: State, hypothesis: Hypothesis) -> float:
-        """Return the root mean square of the residual that is left, whitened.
+    def residual(self, state: State, hypothesis: Hypothesis) -> float:
+        """Return the root mean square of the residual beside the changes, whitened.
 
         Args:
             state: Of a search without it.
@@ -98,10 +97,6 @@ class Freed:
             problem = problem.with_encoder_error(self.torques.joint, error)
         moved = with_amounts(problem, self.torques, torques)
         return replace(self, problem=moved, amounts=torques, errors=errors)
-
-    def as_free(self) -> Free:
-        """Return what costs nothing in a search."""
-        return Free(self.columns())
 
 
 def estimated(

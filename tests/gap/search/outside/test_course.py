@@ -5,7 +5,7 @@ from __future__ import annotations
 import mujoco
 import numpy as np
 import pytest
-from hidden_arms import TURNTABLES, TWO_LINKS, record
+from hidden_arms import TURNTABLES, TWO_LINKS, Act, Hide, record
 from small_problems import last_state
 
 from rlco.gap.compare.arm.encoder_error import encoder_error
@@ -13,6 +13,7 @@ from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.compare.segments import command_steps
 from rlco.gap.logs.log import Array
+from rlco.gap.report.verdict_text import outside_line
 from rlco.gap.search.find_gap import additions
 from rlco.gap.search.outside.course import USUAL, Course, begun
 from rlco.gap.search.outside.free_joint import free_joint
@@ -82,6 +83,7 @@ def test_a_torque_that_drifts_alone_takes_no_knocks(quiet: ArmRollouts) -> None:
     torque = {i: _drift(t) + _knock(t) for i, t in enumerate(_clocks(quiet))}
     found = begun(quiet, "shoulder", torque, Course(drifts=True))
     for times, own in zip(found.knots, found.torques, strict=True):
+        assert len(times) <= 3
         np.testing.assert_allclose(own, _drift(times), atol=0.1)
 
 
@@ -100,16 +102,20 @@ def _error(read: Array) -> Array:
     return np.asarray(AMPLITUDE * np.sin(true + PHASE))
 
 
+def _with_eccentric(hide: Hide | None, act: Act) -> ArmRollouts:
+    log = record(hide, act, xml=TWO_LINKS, episodes=6)
+    for one in log.recordings:
+        position = one.position[:, 0]
+        position += AMPLITUDE * np.sin(position + PHASE)
+    return ArmRollouts(mujoco.MjSpec.from_string(TWO_LINKS), log, np.full(2, 4e-4))
+
+
 @pytest.fixture(scope="module")
 def eccentric() -> ArmRollouts:
     def damped(model: mujoco.MjModel) -> None:
         model.dof_damping[0] += 0.3
 
-    log = record(damped, _eccentric, xml=TWO_LINKS, episodes=6)
-    for one in log.recordings:
-        position = one.position[:, 0]
-        position += AMPLITUDE * np.sin(position + PHASE)
-    return ArmRollouts(mujoco.MjSpec.from_string(TWO_LINKS), log, np.full(2, 4e-4))
+    return _with_eccentric(damped, _eccentric)
 
 
 DAMPED = Hypothesis((AppliedEffect("viscous_damping", "shoulder", {"damping": 0.3}),))
@@ -151,6 +157,19 @@ def test_errors_that_are_put_right_one_after_the_other_add_up(
     )
 
 
+def test_an_error_that_grows_with_the_angle_makes_no_residual_smaller(
+    quiet: ArmRollouts,
+) -> None:
+    # A linear servo follows a scaled encoder as it follows a right one.
+    slow = AppliedEffect("actuator_lag", "shoulder", {"time_constant": 0.05})
+    scaled = quiet.with_encoder_error("shoulder", lambda read: 0.5 * read)
+    sizes = [
+        _size(quiet, one.residuals([Hypothesis((slow,))])[0]) for one in (quiet, scaled)
+    ]
+    assert sizes[0] > 10.0
+    assert sizes[1] == pytest.approx(sizes[0], rel=0.2)
+
+
 def _searched(problem: ArmRollouts, *names: str) -> State:
     every = [*problem.candidates(), *problem.candidates(uncommon=True)]
     exclude = {one.name for one in every} - set(names)
@@ -168,8 +187,24 @@ def test_an_effect_is_named_at_the_joint_whose_encoder_errs(
     assert effect.parameters["damping"] == pytest.approx(0.3, rel=0.05)
     assert found.free_form is not None
     assert found.free_form.of_encoder
-    position, told = found.free_form.over_position
-    np.testing.assert_allclose(told, _error(position), atol=0.1 * AMPLITUDE)
+    assert "predicts none" in outside_line(found.free_form)
+    position, drawn = found.free_form.over_position
+    np.testing.assert_allclose(drawn, _error(position), atol=0.1 * AMPLITUDE)
+
+
+@pytest.mark.slow
+def test_a_constant_torque_is_named_at_the_joint_whose_encoder_errs() -> None:
+    def act(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        _eccentric(model, data)
+        data.qfrc_applied[0] = 0.5
+
+    problem = _with_eccentric(None, act)
+    found = _searched(problem, "torque_bias", "coulomb_friction")
+    (effect,) = found.best.effects
+    assert (effect.name, effect.target) == ("torque_bias", "shoulder")
+    assert effect.parameters["torque"] == pytest.approx(0.5, rel=0.1)
+    assert found.free_form is not None
+    assert found.free_form.of_encoder
 
 
 @pytest.mark.slow

@@ -13,6 +13,7 @@ from small_problems import last_state
 from rlco.gap.compare.arm.following_torque import following_torque
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.arm.torque_over_time import (
+    TorqueOverTime,
     finer_knots,
     torque_over_time,
     with_amounts,
@@ -125,10 +126,8 @@ def test_where_an_effect_explains_all_no_joint_is_set_free() -> None:
     assert last_state(free_joint(state, additions)) is state
 
 
-def test_the_columns_are_what_a_small_torque_over_time_does() -> None:
-    problem = _problem(quiet=True)
-    free = torque_over_time(problem, Hypothesis(), "shoulder")
-    assert free is not None
+def _check_columns(problem: ArmRollouts, free: TorqueOverTime) -> None:
+    """Check the columns of hats against a rollout with a little of each."""
     amounts = 0.02 * np.random.default_rng(0).normal(size=len(free.time))
     before, after = (
         one.residuals([Hypothesis()])[0]
@@ -136,6 +135,13 @@ def test_the_columns_are_what_a_small_torque_over_time_does() -> None:
     )
     change = amounts @ free.moved
     np.testing.assert_allclose(after - before, change, atol=0.03 * np.abs(change).max())
+
+
+def test_the_columns_are_what_a_small_torque_over_time_does() -> None:
+    problem = _problem(quiet=True)
+    free = torque_over_time(problem, Hypothesis(), "shoulder")
+    assert free is not None
+    _check_columns(problem, free)
 
 
 def _steps(problem: ArmRollouts) -> list[Array]:
@@ -156,13 +162,7 @@ def test_columns_of_hats_that_are_closer_at_the_ends_of_knocks_are_so_too() -> N
         assert len(close) < 15
     free = torque_over_time(problem, Hypothesis(), "shoulder", knots)
     assert free is not None
-    amounts = 0.02 * np.random.default_rng(0).normal(size=len(free.time))
-    before, after = (
-        one.residuals([Hypothesis()])[0]
-        for one in (problem, with_amounts(problem, free, amounts))
-    )
-    change = amounts @ free.moved
-    np.testing.assert_allclose(after - before, change, atol=0.03 * np.abs(change).max())
+    _check_columns(problem, free)
 
 
 def test_a_torque_that_changes_slowly_needs_no_more_hats() -> None:
