@@ -8,14 +8,14 @@ import pytest
 from hidden_arms import TURNTABLES, TWO_LINKS, Act, Hide, record
 from small_problems import last_state
 
-from rlco.gap.compare.arm.encoder_error import encoder_error
+from rlco.gap.compare.arm.encoder_error import at_times, encoder_error
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.compare.segments import command_steps
 from rlco.gap.logs.log import Array
 from rlco.gap.report.verdict_text import outside_line
 from rlco.gap.search.find_gap import additions
-from rlco.gap.search.outside.course import USUAL, Course, begun
+from rlco.gap.search.outside.course import USUAL, Begun, Course, begun
 from rlco.gap.search.outside.free_joint import free_joint
 from rlco.gap.search.state import State
 from rlco.gap.search.steps.start import start
@@ -71,6 +71,30 @@ def test_the_part_that_knocks_is_nothing_before_and_after_them(
     np.testing.assert_allclose(own, _knock(times), atol=0.05 * STRONG)
     assert not own[~found.free].any()
     assert 0.0 < found.free.mean() < 1.0
+    # A hat that may change reaches no further than into what is next to an event.
+    for clock, free in zip(found.knots, _split(found), strict=True):
+        inner = np.flatnonzero(free)
+        assert (clock[inner + 1] - clock[inner - 1]).max() < 0.1
+
+
+def _split(found: Begun) -> list[Array]:
+    """Return by recording which hats may change."""
+    ends = np.cumsum([len(one) for one in found.knots])[:-1]
+    return np.split(found.free, ends)
+
+
+def test_a_knock_is_what_is_sudden_beside_the_motion(quiet: ArmRollouts) -> None:
+    def damping(index: int, time: Array) -> Array:
+        recording = np.full(len(time), index)
+        _, velocity = at_times(quiet, "shoulder", recording, time)
+        return np.asarray(-0.6 * velocity)
+
+    torque = {i: damping(i, t) + _knock(t) for i, t in enumerate(_clocks(quiet))}
+    assert max(np.abs(damping(i, t)).max() for i, t in enumerate(_clocks(quiet))) > 1.5
+    found = begun(quiet, "shoulder", torque, Course(knocks=True))
+    times, own = np.concatenate(found.knots), np.concatenate(found.torques)
+    np.testing.assert_allclose(own, _knock(times), atol=0.05 * STRONG)
+    assert _knock(times)[found.free].mean() > 0.2 * STRONG
 
 
 def test_a_torque_that_swings_has_no_knocks(quiet: ArmRollouts) -> None:
