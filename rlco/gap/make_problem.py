@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from rlco.errors import DataError
-from rlco.gap.compare.arm.missing_commands import with_missing_commands
+from rlco.gap.compare.arm.commands.missing import with_missing_commands
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.comparisons import Compared
 from rlco.gap.compare.noise import position_noise

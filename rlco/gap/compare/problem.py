@@ -156,7 +156,8 @@ class Problem(Protocol):
     """A robot's model and log, and the comparison of simulation with measurement.
 
     Subclass it, or implement its members; `has_outliers`, `calibration`,
-    `noise_was_observed`, `inexact`, `usual_sizes` and `runs` have defaults.
+    `noise_was_observed`, `inexact`, `usual_sizes`, `by_guesses` and `runs` have
+    defaults.
     """
 
     model: mujoco.MjModel
@@ -194,6 +195,13 @@ class Problem(Protocol):
         residuals are returned, in the order of the layout.
         """
         ...
+
+    def by_guesses(self, hypothesis: Hypothesis) -> Array:
+        """Return changes of the residuals by what of the log is guessed, (K, N).
+
+        Each for one standard deviation of a guess; none where nothing is guessed.
+        """
+        return np.zeros((0, len(self.layout.recording)))
 
     def runs(self, hypothesis: Hypothesis, recordings: Sequence[int]) -> Sequence[Run]:
         """Return the rollouts of some recordings, to locate a divergence.

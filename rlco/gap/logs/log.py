@@ -32,6 +32,8 @@ class Recording:
         unread: Times [s], rising, and commands that are no row's, (L,) and (L,
             actuators): before the first row, which still act on a part where commands
             are late, and between rows, where the measurement was lost.
+        guessed: Standard deviation of each of these commands, zero where it is known,
+            (L, actuators); None where all are.
         jitter: Standard deviation of what is not known of each row's time [s].
     """
 
@@ -47,6 +49,7 @@ class Recording:
     device: str = ""
     cut_from: str = ""
     unread: tuple[Array, Array] | None = None
+    guessed: Array | None = None
     jitter: float = 0.0
 
     @property

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, optimize
 
-from rlco.gap.compare.arm.late_commands import Responses
+from rlco.gap.compare.arm.commands.late import Responses
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Integers
 from rlco.gap.logs.log import Array

@@ -153,7 +153,9 @@ class Setting:
         blocks: Block of time of each residual, training first, (N,).
         series: Block and channel of each residual, training first, (N,).
         excluded: Names of effects that are left out.
-        free: What may change at no cost; None for nothing.
+        guessed: Changes of the residuals by what of the log is guessed, see
+            `Problem.by_guesses`, (K, N).
+        free: What may change at no cost besides; None for nothing.
     """
 
     problem: Problem
@@ -167,8 +169,13 @@ class Setting:
     calm: Array
     blocks: Integers
     series: Integers
+    guessed: Array
     excluded: frozenset[str] = frozenset()
     free: Free | None = None
+
+    def costless(self) -> Free | None:
+        """Return all that may change at no cost; None where nothing may."""
+        return costless(self.guessed, self.free)
 
     def residuals(
         self, lists: Sequence[tuple[AppliedEffect, ...]], recordings: tuple[int, ...]
@@ -247,8 +254,8 @@ class Setting:
         rows = len(layout.recording) if self.problem.calibration is None else -1
         outliers = self.outliers and self.outliers.part(near)
         prior = self.prior
-        if self.free is not None:
-            moved, prior = self.free.beside(moved, prior, near, rows)
+        if (costless := self.costless()) is not None:
+            moved, prior = costless.beside(moved, prior, near, rows)
         training = Whitening.of(scale, moved, prior, rows, outliers)
         return replace(
             self, train=some, weights=replace(self.weights, training=training)
@@ -269,6 +276,13 @@ class Setting:
         recording = self.problem.layout.recording
         of = recording[np.isin(recording, self.train)]
         return np.array([np.mean(residual[of == one] ** 2) for one in self.train])
+
+
+def costless(guessed: Array, free: Free | None) -> Free | None:
+    """Return what is guessed, and what is free besides, as one; None for nothing."""
+    if not len(guessed):
+        return free
+    return Free(guessed if free is None else np.concatenate([guessed, free.columns]))
 
 
 def training_first(

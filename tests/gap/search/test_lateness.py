@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal
 
-from rlco.gap.compare.arm.late_commands import Responses
+from rlco.gap.compare.arm.commands.late import Responses
 from rlco.gap.search.lateness import (
     apart_likelihood,
     estimated,

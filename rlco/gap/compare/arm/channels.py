@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import mujoco
 import numpy as np
 
-from rlco.gap.compare.problem import Layout
+from rlco.gap.compare.problem import Integers, Layout
 from rlco.gap.compare.segments import Segment
 from rlco.gap.logs.log import Array, Log, Recording
-from rlco.physics.effects.targets import actuator_of
+from rlco.physics.effects.targets import actuator_of, dof_of
+from rlco.physics.effects.transmission import COMPLIANCE_SUFFIX
 
 
 def layout_of(model: mujoco.MjModel, log: Log, segments: Sequence[Segment]) -> Layout:
@@ -61,3 +63,30 @@ def joint_commands(
         if actuator in columns:
             commands[:, column] = sent[:, list(columns).index(actuator)]
     return commands
+
+
+def addresses(
+    model: mujoco.MjModel, joints: tuple[str, ...]
+) -> tuple[Integers, tuple[Any, Any]]:
+    """Return where joints are in a state.
+
+    Returns:
+        Column and address of all that a joint's encoder reads, (places, 2), and the
+        addresses of the joints' own positions and velocities.
+    """
+    read = []
+    for column, name in enumerate(joints):
+        read.append((column, int(model.joint(name).qposadr[0])))
+        link = mujoco.mj_name2id(
+            model, mujoco.mjtObj.mjOBJ_JOINT, name + COMPLIANCE_SUFFIX
+        )
+        if link >= 0:
+            read.append((column, int(model.jnt_qposadr[link])))
+    positions = [int(model.joint(name).qposadr[0]) for name in joints]
+    velocities = [dof_of(model, name) for name in joints]
+    return np.array(read), (positions, velocities)
+
+
+def joint_names(model: mujoco.MjModel) -> set[str]:
+    """Return the names of all joints of a model."""
+    return {model.joint(i).name for i in range(model.njnt)}

@@ -11,13 +11,18 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from copy import copy
 from dataclasses import replace
-from typing import Any
 
 import mujoco
 import numpy as np
 
-from rlco.gap.compare.arm.channels import joint_commands, layout_of
-from rlco.gap.compare.arm.command_changes import CommandChanges
+from rlco.gap.compare.arm.channels import (
+    addresses,
+    joint_commands,
+    joint_names,
+    layout_of,
+)
+from rlco.gap.compare.arm.commands.changes import CommandChanges
+from rlco.gap.compare.arm.commands.guessed import by_guesses, held_off
 from rlco.gap.compare.arm.divergence import diverged
 from rlco.gap.compare.arm.kernel import Outside
 from rlco.gap.compare.arm.needed_torque import limits, servo_torque, static_torque
@@ -28,7 +33,6 @@ from rlco.gap.compare.problem import (
     Calibrated,
     Candidate,
     Hypothesis,
-    Integers,
     Problem,
     Run,
 )
@@ -50,7 +54,6 @@ from rlco.physics.effects.apply import (
     true_positions,
 )
 from rlco.physics.effects.targets import actuator_of, dof_of
-from rlco.physics.effects.transmission import COMPLIANCE_SUFFIX
 from rlco.physics.mj.libmujoco import silenced_warnings
 
 
@@ -115,7 +118,7 @@ class ArmRollouts(Problem):
         driven = set(self.log.joints)
         for effect in searched("positions", uncommon=uncommon):
             for target in effect.targets(self.model):
-                joint = target if target in _joint_names(self.model) else None
+                joint = target if target in joint_names(self.model) else None
                 if joint is None or joint in driven:
                     found.append(Candidate(effect.name, target))
         return found
@@ -210,7 +213,7 @@ class ArmRollouts(Problem):
     def runs(self, hypothesis: Hypothesis, recordings: Sequence[int]) -> list[Run]:
         """Return the rollouts of some recordings, see `Problem.runs`."""
         model, effects = self.compiled(hypothesis), hypothesis.effects
-        _, (positions, speeds) = _addresses(model, self.log.joints)
+        _, (positions, speeds) = addresses(model, self.log.joints)
         found = []
         for segment in self.segments:
             if segment.recording not in recordings:
@@ -256,6 +259,27 @@ class ArmRollouts(Problem):
         other = copy(self)
         held = [self.of_actuators(one.held()) for one in self.changes(late)]
         other._commands = held
+        return other
+
+    def by_guesses(self, hypothesis: Hypothesis) -> Array:
+        """Return changes of the residuals by guessed commands, (K, N)."""
+        return by_guesses(self, hypothesis)
+
+    def with_other_guesses(self, off: Sequence[Array | None]) -> ArmRollouts:
+        """Return the problem with unread commands that are off by other amounts.
+
+        Args:
+            off: Of each recording, of each of its unread commands, (L, actuators).
+        """
+        other, step = copy(self), float(self.model.opt.timestep)
+        other._commands = [
+            sent
+            if one is None
+            else sent + held_off(log, one, step, self.model.nu, self._columns)
+            for log, sent, one in zip(
+                self.log.recordings, self._commands, off, strict=True
+            )
+        ]
         return other
 
     def with_torques(self, joint: str, torques: Mapping[int, Array]) -> ArmRollouts:
@@ -345,7 +369,7 @@ class ArmRollouts(Problem):
         model = self.compiled(hypothesis)
         forces = step_forces(model, effects)
         data = mujoco.MjData(model)
-        read, write = _addresses(model, joints)
+        read, write = addresses(model, joints)
         filtered: dict[int, Array] = {}
         out = []
         for segment in segments:
@@ -372,23 +396,3 @@ class ArmRollouts(Problem):
                 residual = np.full_like(residual, np.inf)
             out.append(residual.ravel())
         return np.concatenate(out)
-
-
-def _addresses(
-    model: mujoco.MjModel, joints: tuple[str, ...]
-) -> tuple[Integers, tuple[Any, Any]]:
-    read = []
-    for column, name in enumerate(joints):
-        read.append((column, int(model.joint(name).qposadr[0])))
-        link = mujoco.mj_name2id(
-            model, mujoco.mjtObj.mjOBJ_JOINT, name + COMPLIANCE_SUFFIX
-        )
-        if link >= 0:
-            read.append((column, int(model.jnt_qposadr[link])))
-    positions = [int(model.joint(name).qposadr[0]) for name in joints]
-    velocities = [dof_of(model, name) for name in joints]
-    return np.array(read), (positions, velocities)
-
-
-def _joint_names(model: mujoco.MjModel) -> set[str]:
-    return {model.joint(i).name for i in range(model.njnt)}

@@ -1,6 +1,6 @@
 """Rows beside missing ones that are not of their tick, as the motion says.
 
-Whether a row came before a lost one or after it, a bad stamp cannot tell; nor that a
+Whether rows came before a lost one or after it, bad stamps cannot tell; nor that a
 logger wrote the lost row's measurement into the next. A moving robot can: such a row is
 a whole period's way from where its neighbours put it.
 """
@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from rlco.gap.logs.log import Array
 from rlco.gap.logs.times.sixth_differences import sixth_differences
 
-_NEIGHBOURS = np.array((-2, -1, 1, 2))
+_LONGEST = 3  # rows in a row that may all be a tick off
+_BESIDE = 2  # neighbours on each side that say where rows belong
 _WITHIN = 8.0  # ticks in which a motion is smooth
 _OFF = 6.0  # deviations of the noise by which a row is plainly not of its tick
 _SHARE = 0.3  # ... of which this much may be left at another tick that is free
@@ -30,9 +31,9 @@ def misplaced_rows(ticks: Array, values: Array) -> NDArray[np.bool_]:
         >>> ticks = np.delete(np.arange(60.0), 30)
         >>> path = np.sin(0.1 * ticks[:, None] * [1.0, 2.0])
         >>> path += np.random.default_rng(0).normal(0.0, 1e-3, path.shape)
-        >>> ticks[29] = 30.0  # it came before the missing row
+        >>> ticks[28:30] += 1.0  # these came before the missing row
         >>> np.flatnonzero(misplaced_rows(ticks, path)).tolist()
-        [29]
+        [28, 29]
     """
     found = np.zeros(len(ticks), dtype=np.bool_)
     high, _ = sixth_differences(ticks, values)
@@ -40,31 +41,57 @@ def misplaced_rows(ticks: Array, values: Array) -> NDArray[np.bool_]:
     if not (noise > 0).all():
         return found
     kept = np.arange(len(ticks))
-    while True:
-        steps = np.diff(ticks[kept])
-        gaps = np.flatnonzero(steps > 1)
-        beside = np.unique(np.r_[gaps, gaps + 1])
-        beside = beside[(beside >= 2) & (beside < len(kept) - 2)]
-        off = [_wrong(ticks[kept], values[kept], int(row), noise) for row in beside]
-        if max(off, default=0.0) < _OFF:
-            return found
-        worst = int(beside[int(np.argmax(off))])
-        found[kept[worst]] = True
-        kept = np.delete(kept, worst)
+    while (run := _worst(ticks[kept], values[kept], noise)) is not None:
+        found[kept[run]] = True
+        kept = np.delete(kept, run)
+    return found
 
 
-def _wrong(ticks: Array, values: Array, row: int, noise: Array) -> float:
-    """Return by how much a row is off, 0 where it is not of another free tick."""
-    near = row + _NEIGHBOURS
+def _worst(ticks: Array, values: Array, noise: Array) -> slice | None:
+    """Return the run that is plainly off by most, of the shortest; None for none.
+
+    A single row that is off makes those beside it seem so, which are more.
+    """
+    for size in range(1, _LONGEST + 1):
+        runs = _runs(ticks, size)
+        off = [_wrong(ticks, values, run, noise) for run in runs]
+        if max(off, default=0.0) >= _OFF:
+            return runs[int(np.argmax(off))]
+    return None
+
+
+def _runs(ticks: Array, size: int) -> list[slice]:
+    """Return the runs of rows beside a missing one, and the last row."""
+    firsts = {
+        first
+        for gap in np.flatnonzero(np.diff(ticks) > 1).tolist()
+        for first in (gap - size + 1, gap + 1)
+        if _BESIDE <= first <= len(ticks) - size - _BESIDE
+    }
+    last = {len(ticks) - 1} if size == 1 and len(ticks) > 2 * _BESIDE else set()
+    return [slice(first, first + size) for first in sorted(firsts | last)]
+
+
+def _wrong(ticks: Array, values: Array, run: slice, noise: Array) -> float:
+    """Return by how much a run is off, 0 where it is not of other free ticks."""
+    first, end = run.start, run.stop
+    near = np.r_[first - _BESIDE : first, end : end + _BESIDE]
+    if end == len(ticks):
+        near = np.arange(first - 2 * _BESIDE, first)
     if ticks[near[-1]] - ticks[near[0]] > _WITHIN:
         return 0.0
-    free = np.arange(ticks[row - 1] + 1.0, ticks[row + 1])
-    off = [_off(tick, ticks[near], values[near], values[row], noise) for tick in free]
-    here = np.flatnonzero(free == ticks[row])
-    if not len(here):  # times so large that floats have no ticks between them
-        return 0.0
-    now = off[int(here[0])]
-    return now if min(off) < _SHARE * now else 0.0
+    earlier = int(ticks[first] - ticks[first - 1]) - 1
+    # The last row may be of the tick after, too.
+    later = int(ticks[end] - ticks[end - 1]) - 1 if end < len(ticks) else 1
+    off = {
+        moved: max(
+            _off(ticks[row] + moved, ticks[near], values[near], values[row], noise)
+            for row in range(first, end)
+        )
+        for moved in range(-earlier, later + 1)
+    }
+    now = off[0]
+    return now if min(off.values()) < _SHARE * now else 0.0
 
 
 def _off(tick: float, near: Array, values: Array, value: Array, noise: Array) -> float:

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.ndimage import uniform_filter1d
 
-from rlco.gap.compare.arm.late_commands import Responses, responses
+from rlco.gap.compare.arm.commands.late import Responses, responses
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis, Integers
 from rlco.gap.compare.segments import SETTLE, joint_velocity

@@ -86,7 +86,13 @@ def without_tolerance(state: State) -> State | None:
     setting, effects = state.setting, state.best.effects
     moved, prior = np.zeros((0, len(setting.problem.layout.channel))), np.zeros(0)
     weights = Weights.of(
-        setting.problem, setting.train, setting.heldout, moved, prior, setting.outliers
+        setting.problem,
+        setting.train,
+        setting.heldout,
+        moved,
+        prior,
+        setting.outliers,
+        setting.costless(),
     )
     setting = replace(setting, weights=weights, at_first=weights.together, prior=prior)
     exact = replace(state, setting=setting, screenings=(), scores={})

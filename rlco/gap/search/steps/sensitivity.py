@@ -7,14 +7,21 @@ from dataclasses import replace
 
 import numpy as np
 
+from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.logs.log import Array
 from rlco.gap.search.fit import linearise
-from rlco.gap.search.setting import Weights, in_noise, moved_by_tolerance
+from rlco.gap.search.setting import (
+    Weights,
+    costless,
+    in_noise,
+    moved_by_tolerance,
+)
 from rlco.gap.search.state import State
 from rlco.gap.search.whitening import Whitening
 from rlco.physics.effects import AppliedEffect
 
 GREW = 30.0  # ratio of squared sensitivities from which whitening is repeated
+_OTHER = 0.3  # share of the guesses' squares that must change for them to be renewed
 _PARALLEL = 1e-6  # part of a parameter's change that no other parameter does
 
 
@@ -37,7 +44,8 @@ def rewhiten(state: State) -> State:
     state = replace(state, sensitivity=after / calm if calm > 0.0 else 1.0)
     known = setting.weights.moved[:, screened]
     before = float(in_noise(known, prior, scale[screened]).sum())
-    if not GREW * before < after < np.inf:
+    guessed = _guessed_anew(state)
+    if not GREW * before < after < np.inf and guessed is setting.guessed:
         return state
     _, moved = moved_by_tolerance(problem, best.effects)
     if not np.isfinite(moved).all():
@@ -49,15 +57,33 @@ def rewhiten(state: State) -> State:
         moved,
         prior,
         setting.outliers,
-        setting.free,
+        costless(guessed, setting.free),
     )
-    fresh = replace(
-        state, setting=replace(setting, weights=weights), scores={}, screenings=()
-    )
+    setting = replace(setting, weights=weights, guessed=guessed)
+    fresh = replace(state, setting=setting, scores={}, screenings=())
     nothing = linearise(fresh.setting.library, (), fresh.setting.whiten)
     fresh, _ = fresh.score([nothing])
     fresh, again = fresh.fit([best.effects])
     return replace(fresh, best=again[0]) if again else state
+
+
+def _guessed_anew(state: State) -> Array:
+    """Return `Setting.guessed` under the best effects, where these change it.
+
+    Commands that arrive later change the motion later.
+    """
+    setting = state.setting
+    if not len(setting.guessed):
+        return setting.guessed
+    found = setting.problem.by_guesses(Hypothesis(state.best.effects))
+    if not len(found):
+        return setting.guessed
+    scale = setting.problem.noise[setting.problem.layout.channel]
+    before, after = (
+        np.sum((columns / scale) ** 2, axis=0) for columns in (setting.guessed, found)
+    )
+    changed = float(np.abs(after - before).sum()) > _OTHER * float(before.sum())
+    return found if changed else setting.guessed
 
 
 def _beyond_effects(state: State, moved: Array, scale: Array) -> Array:
@@ -110,6 +136,6 @@ def _beside(state: State) -> Whitening:
     near = np.isin(layout.recording, setting.train)
     outliers = setting.outliers and setting.outliers.part(near)
     scale, prior = problem.noise[layout.channel][near], setting.prior
-    if setting.free is not None:
-        moved, prior = setting.free.beside(moved, prior, near, -1)
+    if (costless := setting.costless()) is not None:
+        moved, prior = costless.beside(moved, prior, near, -1)
     return Whitening.of(scale, moved, prior, -1, outliers)

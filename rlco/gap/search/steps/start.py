@@ -6,7 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
-from rlco.gap.compare.problem import Problem
+from rlco.gap.compare.problem import Hypothesis, Problem
 from rlco.gap.compare.stability.instability import check_stable
 from rlco.gap.logs.log import Array
 from rlco.gap.search.comparison import seconds_of
@@ -16,6 +16,7 @@ from rlco.gap.search.setting import (
     Free,
     Setting,
     Weights,
+    costless,
     in_noise,
     moved_by_tolerance,
     training_first,
@@ -81,7 +82,10 @@ def _setting(
     seconds = seconds_of(layout)
     blocks = seconds[order]
     outliers = Outliers.of(nominal / scale, seconds) if problem.has_outliers else None
-    weights = Weights.of(problem, train, heldout, moved, prior, outliers, free)
+    guessed = problem.by_guesses(Hypothesis())
+    weights = Weights.of(
+        problem, train, heldout, moved, prior, outliers, costless(guessed, free)
+    )
     return Setting(
         problem=problem,
         library=library_of(problem, exclude),
@@ -94,6 +98,7 @@ def _setting(
         calm=in_noise(moved, prior, scale),
         blocks=blocks,
         series=blocks * len(layout.channels) + layout.channel[order],
+        guessed=guessed,
         excluded=frozenset(exclude),
         free=free,
     )

@@ -11,7 +11,7 @@ from hidden_arms import FPS, TURNTABLES, Act, record
 from numpy.typing import NDArray
 from small_problems import last_state
 
-from rlco.gap.compare.arm.late_commands import responses
+from rlco.gap.compare.arm.commands.late import responses
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.search.find_gap import additions, find_gap

@@ -1,0 +1,1 @@
+"""Commands of a log: as sums of changes, late, missing, and guessed."""

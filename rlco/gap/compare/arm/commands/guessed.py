@@ -1,0 +1,140 @@
+"""Commands that a log has lost and that are guessed: what an error of a guess changes.
+
+A guess between a step's two levels may be off by half of the step, and one in smooth
+motion by next to nothing. Each guess that could be seen is a free amount of a fit, with
+the standard deviation of `Recording.guessed`. A servo forgets a wrong command within a
+fraction of a second, so one rollout measures the responses to guesses that are far
+apart, and a few rollouts measure all.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from rlco.gap.compare.problem import Hypothesis
+from rlco.gap.compare.segments import held_commands
+from rlco.gap.logs.log import Array, Recording
+from rlco.physics.effects.targets import actuator_of
+
+if TYPE_CHECKING:
+    from rlco.gap.compare.arm.rollouts import ArmRollouts
+
+_REMEMBERED = 0.8  # time in which an arm forgets a wrong command [s]
+_SEEN = 0.5  # error of a command, over the noise, that a joint could show
+_SHOWN = 1.0  # root of the sum of squares, over the noise, of a response that counts
+
+
+def by_guesses(problem: ArmRollouts, hypothesis: Hypothesis) -> Array:
+    """Return the changes of the residuals by guesses that are off, (K, N).
+
+    Args:
+        problem: The robot and its log.
+        hypothesis: What acts.
+
+    Returns:
+        Of each guess that shows, for one standard deviation; infinite rows of
+        simulations that diverge are left out.
+    """
+    logs, layout = problem.log.recordings, problem.layout
+    none = np.zeros((0, len(layout.recording)))
+    if all(one.guessed is None for one in logs):
+        return none
+    noise = _noise_of_commands(problem)
+    turns = [_turns(one, noise) for one in logs]
+    count = max(int(one.max(initial=-1)) for one in turns) + 1
+    problems = [problem]
+    for actuator in range(len(noise)):
+        for turn in range(count):
+            off = [
+                _off(*both, turn, actuator) for both in zip(logs, turns, strict=True)
+            ]
+            problems.append(problem.with_other_guesses(off))
+    rows = np.concatenate([one.residuals([hypothesis]) for one in problems])
+    if not np.isfinite(rows[0]).all():
+        return none
+    moved = rows[1:] - rows[0]
+    scale = problem.noise[layout.channel]
+    found = []
+    for index, (log, own) in enumerate(zip(logs, turns, strict=True)):
+        here = np.flatnonzero(layout.recording == index)
+        for guess, actuator in np.argwhere(own >= 0):
+            turn = int(own[guess, actuator])
+            begin, end = _felt(log, own[:, actuator], guess)
+            near = here[(layout.time[here] >= begin) & (layout.time[here] < end)]
+            column = np.zeros(len(scale))
+            column[near] = moved[actuator * count + turn, near]
+            shown = float(np.linalg.norm(column / scale))
+            if _SHOWN < shown < np.inf:
+                found.append(column)
+    return np.stack(found) if found else none
+
+
+def _noise_of_commands(problem: ArmRollouts) -> Array:
+    """Return the noise of the joint that each of the log's commands moves."""
+    noise = {
+        actuator_of(problem.model, joint): float(size)
+        for joint, size in zip(problem.log.joints, problem.noise, strict=True)
+    }
+    least = float(problem.noise.min())
+    ids = [problem.model.actuator(name).id for name in problem.log.actuators]
+    return np.array([noise.get(one, least) for one in ids])
+
+
+def _turns(log: Recording, noise: Array) -> Array:
+    """Return in which rollout each guess's response is measured, or -1, (L, actuators).
+
+    In one rollout an actuator's guesses are as far apart as an arm remembers.
+    """
+    if log.guessed is None or log.unread is None:
+        return np.full((0, len(noise)), -1)
+    time, turns = log.unread[0], np.full(log.guessed.shape, -1)
+    for actuator in range(turns.shape[1]):
+        free: list[float] = []
+        for guess in np.flatnonzero(log.guessed[:, actuator] > _SEEN * noise[actuator]):
+            at = time[guess]
+            turn = next((i for i, one in enumerate(free) if one <= at), len(free))
+            free[turn : turn + 1] = [at + _REMEMBERED]
+            turns[guess, actuator] = turn
+    return turns
+
+
+def _off(log: Recording, turns: Array, turn: int, actuator: int) -> Array | None:
+    """Return by how much a recording's unread commands are off in one rollout."""
+    mine = turns[:, actuator] == turn
+    if log.guessed is None or not mine.any():
+        return None
+    off = np.zeros_like(log.guessed)
+    off[mine, actuator] = log.guessed[mine, actuator]
+    return off
+
+
+def _felt(log: Recording, turns: Array, guess: int) -> tuple[float, float]:
+    """Return from when to when a rollout's response is that to one guess [s]."""
+    time = log.unread[0] if log.unread is not None else np.zeros(0)
+    begin = float(time[guess])
+    later = time[(turns == turns[guess]) & (time > begin)]
+    return begin, min([begin + _REMEMBERED, *later[:1].tolist()])
+
+
+def held_off(
+    log: Recording, off: Array, step: float, nu: int, columns: list[int]
+) -> Array:
+    """Return what unread commands that are off change at each step, (steps, nu).
+
+    Args:
+        log: The recording.
+        off: Of each of its unread commands, (L, actuators).
+        step: The physics step [s].
+        nu: Actuators of the model.
+        columns: Which of these each command is of.
+    """
+    if log.unread is None:
+        raise ValueError(f"{log.name!r} has no unread commands")
+    time, sent = log.unread
+    other = replace(log, unread=(time, sent + off))
+    return held_commands(other, step, nu, columns) - held_commands(
+        log, step, nu, columns
+    )
