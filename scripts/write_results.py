@@ -12,13 +12,15 @@ columns alone.
 
 from __future__ import annotations
 
+import functools
+import importlib.util
 import re
 import shutil
-import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
+from types import ModuleType
 
 from rlco.runs.compare.cells import Store
 from rlco.runs.compare.jobs import expand
@@ -61,22 +63,35 @@ def count_missing(experiment: Path, cells: Path) -> tuple[int, int]:
     return sum(store.find(job) is None for job in jobs), len(jobs)
 
 
+@functools.cache
+def recipe(name: str) -> ModuleType:
+    """Return the module of a recipe, which is in no package."""
+    spec = importlib.util.spec_from_file_location(name, ROOT / "recipes" / f"{name}.py")
+    if spec is None or spec.loader is None:
+        raise FileNotFoundError(f"recipes/{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[name] = module  # its options' types are looked up there
+    spec.loader.exec_module(module)
+    return module
+
+
 def write_page(name: str, experiment: Path, cells: Path) -> str:
     """Write an experiment's page and figures, and return its first table."""
-    command = [sys.executable, str(ROOT / "recipes" / "compare.py")]
-    command += [f"experiment={experiment.relative_to(ROOT)}"]
-    command += [f"cells={cells.relative_to(ROOT)}", "hours=0", "code=any"]
     with tempfile.TemporaryDirectory() as out:
-        subprocess.run(
-            [*command, f"out={out}"], check=True, cwd=ROOT, stdout=subprocess.DEVNULL
-        )
+        # In this process: to start one for each takes longer than the tables.
+        config = {"experiment": str(experiment), "cells": str(cells), "out": out}
+        compare = recipe("compare")
+        compare.main(compare.Config(**config, hours=0, code="any"))
         tables = (Path(out) / "table.md").read_text("utf-8")
         figures = ["\n## Figures\n"]
         for figure in sorted(Path(out, "plots").glob("*.png")):
             kept = f"{name}-{figure.stem.replace(' ', '-')}.png"
             shutil.copy(figure, DOCS / "figures" / kept)
             figures.append(f"![{figure.stem}](../figures/{kept})\n")
-    shown = "uv run recipes/compare.py " + " ".join(command[2:])
+    shown = (
+        f"uv run recipes/compare.py experiment={experiment.relative_to(ROOT)} "
+        f"cells={cells.relative_to(ROOT)} hours=0 code=any"
+    )
     page = DOCS / "tables" / f"{name}.md"
     page.parent.mkdir(exist_ok=True)
     text = f"# {name}\n\n```\n$ {shown}\n```\n\n{tables}"

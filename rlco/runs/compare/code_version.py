@@ -41,8 +41,9 @@ class Code:
 
 def read_code(script: Path) -> Code:
     """Return the code that a script runs now."""
-    files = {path: _stamp(path) for path in sources(script).values()}
-    return Code(script, code_version(script), files)
+    files = sources(script)
+    stamps = {path: _stamp(path) for path in files.values()}
+    return Code(script, _version(files), stamps)
 
 
 def code_version(script: Path) -> str:
@@ -58,8 +59,12 @@ def code_version(script: Path) -> str:
     Returns:
         64 hexadecimal digits.
     """
+    return _version(sources(script))
+
+
+def _version(files: Mapping[str, Path]) -> str:
     digest = hashlib.sha256()
-    for name, path in sorted(sources(script).items()):
+    for name, path in sorted(files.items()):
         digest.update(f"{name}\n{_normalised(path.read_bytes(), path)}\n".encode())
     return digest.hexdigest()
 
@@ -72,17 +77,18 @@ def sources(script: Path) -> dict[str, Path]:
     """
     roots = (script.parent.resolve(), ROOT)
     waiting, found = [script.resolve()], dict[str, Path]()
+    seen, modules = {*waiting}, set[str]()
     while waiting:
         path = waiting.pop()
-        name = _name(path, roots)
-        if name in found:
-            continue
-        found[name] = path
+        found[_name(path, roots)] = path
         imports, by_name = _read(path.read_bytes(), path)
-        for module in {*_imported(imports, path, roots)}:
-            waiting += _files(module, roots)
+        fresh = {*_imported(imports, path, roots)} - modules
+        modules |= fresh
+        further = {file for module in fresh for file in _files(module, roots)}
         if by_name:
-            waiting += path.parent.rglob("*.py")
+            further |= {*path.parent.rglob("*.py")}
+        waiting += further - seen
+        seen |= further
     return found
 
 
