@@ -14,6 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.ndimage import uniform_filter1d
 from scipy.sparse.linalg import spsolve
 
 from rlco.gap.compare.arm.encoder_error import at_times
@@ -25,7 +26,8 @@ from rlco.gap.logs.log import Array
 
 _SLOW = 2.5  # between knots where nothing happens [s]
 _FINE = 0.04  # the same within an event [s]
-_SUDDEN = 6.0  # deviation from slow over the usual one, within an event
+_SUDDEN = 5.0  # deviation from slow over the usual one, within an event
+_SMOOTH = 0.08  # in which a torque is averaged to see it [s]
 _MARGIN = 0.1  # before and after an event [s]
 _WEIGHTED = 8  # fits of what is not sudden
 _SLOWEST = 0.05  # speed at which friction takes its sign [rad/s or m/s]
@@ -163,8 +165,17 @@ def _beside_motion(
         weights = 1.0 / np.maximum(away, 0.1)
     rest = goal - motion @ amounts[-count:]
     ends = np.cumsum([len(one) for one in clocks])[:-1]
-    each = [np.split(one, ends) for one in (rest, away, weights)]
-    return _Sudden(dict(enumerate(each[0])), each[1], each[2])
+    # A torque from measured positions is noisy from step to step; a knock lasts.
+    step = float(problem.model.opt.timestep)
+    lasting = [
+        uniform_filter1d(one, max(1, round(_SMOOTH / step)), mode="nearest")
+        for one in np.split(goal - columns @ amounts, ends)
+    ]
+    usual = float(np.median(np.abs(np.concatenate(lasting)))) / 0.6745
+    each = [np.split(one, ends) for one in (rest, weights)]
+    return _Sudden(
+        dict(enumerate(each[0])), [np.abs(one) / usual for one in lasting], each[1]
+    )
 
 
 def _motions(problem: ArmRollouts, joint: str, clocks: list[Array]) -> Array:

@@ -123,6 +123,8 @@ def _searched(at: _AtJoint, base: Effects) -> Generator[State, None, State | Non
     # One at the joint that made up for a part of what acts there hides the part.
     others = tuple(one for one in effects if one.target != at.joint)
     usual = yield from _beside(at, others, USUAL)
+    if usual is not None and not _is_enough(at.state.best, usual.best):
+        usual = (yield from _refined(at, usual, others, USUAL)) or usual
     if usual is None or not _is_enough(at.state.best, usual.best):
         yield at.state
         found = yield from _again(at, effects, ANY)
@@ -226,12 +228,21 @@ def _singles(state: State) -> list[Scored]:
 def _again(
     at: _AtJoint, effects: Effects, course: Course
 ) -> Generator[State, None, State | None]:
-    """Yield as `_beside` does, twice where the first finds others than it began with.
+    """Yield as `_beside` does, and again where that finds others than it began with."""
+    found = yield from _beside(at, effects, course)
+    if found is None:
+        return None
+    return (yield from _refined(at, found, effects, course))
+
+
+def _refined(
+    at: _AtJoint, found: State, effects: Effects, course: Course
+) -> Generator[State, None, State | None]:
+    """Yield as `_beside` does for what a search found, if it began with others.
 
     What acts at the joint is estimated beside what is known of the effects.
     """
-    found = yield from _beside(at, effects, course)
-    if found is None or found.best.names == frozenset(candidates_of(effects)):
+    if found.best.names == frozenset(candidates_of(effects)):
         return found
     return (yield from _beside(at, found.best.effects, course))
 

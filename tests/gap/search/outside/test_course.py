@@ -97,6 +97,21 @@ def test_a_knock_is_what_is_sudden_beside_the_motion(quiet: ArmRollouts) -> None
     assert _knock(times)[found.free].mean() > 0.2 * STRONG
 
 
+def test_a_knock_is_found_in_noise(quiet: ArmRollouts) -> None:
+    """A torque that measured positions need is rough from step to step; knocks last."""
+    random = np.random.default_rng(0)
+    torque = {
+        i: _knock(t) + random.normal(0.0, STRONG / 4, len(t))
+        for i, t in enumerate(_clocks(quiet))
+    }
+    found = begun(quiet, "shoulder", torque, Course(knocks=True))
+    for clock, free in zip(found.knots, _split(found), strict=True):
+        away = np.abs(clock[:, None] - np.add(KNOCKS, LONG / 2))
+        assert (away < LONG / 6).any(axis=0).all()
+        assert free[(away < LONG / 6).any(axis=1)].all()
+        assert not free[(away > LONG).all(axis=1)].any()
+
+
 def test_a_torque_that_swings_has_no_knocks(quiet: ArmRollouts) -> None:
     torque = {i: np.sin(6.0 * t) for i, t in enumerate(_clocks(quiet))}
     found = begun(quiet, "shoulder", torque, USUAL)
