@@ -106,7 +106,12 @@ def main(config: Config) -> None:
         return
     check_new_folder(Path(config.out))
     with one_interrupt() as ends, whole_folder(config.out) as part:
-        with progress_bar() as progress:
+        with progress_bar() as shown:
+
+            def progress(said: str, part: float) -> None:
+                ends.held = part >= 1.0  # what was found is lost no more
+                shown(said, part)
+
             finding = run_gap(
                 config.model,
                 config.data,
@@ -123,7 +128,6 @@ def main(config: Config) -> None:
                 film=config.film,
                 progress=progress,
             )
-        ends.held = True  # until all of it is written
         for line in finding.summary():
             log.info("%s", line)
         finding.write_files(part, command=command_line())

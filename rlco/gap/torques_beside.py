@@ -18,6 +18,8 @@ from rlco.gap.model import LoadedModel
 from rlco.gap.search.find_gap import find_gap
 
 Progress = Callable[[str, float], None]
+#: Fraction done when nothing is searched any more, but may still be interrupted.
+SEARCHED = 0.99
 
 
 def torque_warning(problem: Problem) -> str | None:
@@ -42,7 +44,7 @@ def torques_beside(
         options: Those of a search by torques; None only checks `verdict`.
         say: Called with the progress.
     """
-    say("comparing torques", 0.5 if options else 1.0)
+    say("comparing torques", SEARCHED * (0.5 if options else 1.0))
     try:
         problem = torque_problem(loaded.spec, in_parts(log))
     except DataError as error:
@@ -54,7 +56,7 @@ def torques_beside(
         found = find_gap(
             problem,
             **options,
-            on_step=lambda said, part: say(said, 0.5 + part / 2.0),
+            on_step=lambda said, part: say(said, SEARCHED * (0.5 + part / 2.0)),
         )
         second = Comparison("torques", found, found.gap, notes)
         return warned(second, torque_warning(problem)), found.complete

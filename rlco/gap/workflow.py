@@ -50,7 +50,7 @@ from rlco.gap.report.compared import compared_json, comparison_lines
 from rlco.gap.report.report_json import report
 from rlco.gap.report.verdict_text import verdict_lines, where_lines
 from rlco.gap.search.find_gap import find_gap
-from rlco.gap.torques_beside import torque_warning, torques_beside
+from rlco.gap.torques_beside import SEARCHED, torque_warning, torques_beside
 from rlco.physics.effects import load_code
 from rlco.runs.whole_files import whole_folder, write_json, write_text
 
@@ -276,7 +276,8 @@ def run_gap(
             meshes; None: its own, or that of the ROS package around it.
         threads: Number of parallel simulations.
         film: Whether the report has a film of the robot, measured and simulated.
-        progress: Called with a sentence and the fraction done, from 0 to 1.
+        progress: Called with a sentence and the fraction done: from 0 to less than 1
+            while Ctrl-C ends what is searched, and 1 from then on.
 
     Raises:
         RlcoError: The model, the recordings or the options cannot be used.
@@ -327,7 +328,7 @@ def run_gap(
     parts = 2.0 if both else 1.0
 
     def on_step(said: str, part: float) -> None:
-        say(said, part / parts)
+        say(said, SEARCHED * part / parts)
 
     if prepared is None:
         verdict = find_gap(problem, spread=spread, exclude=exclude, on_step=on_step)
@@ -367,7 +368,7 @@ def _to_record_next(
     """Return motions to record next, and whether the search for them completed."""
     if not verdict.complete or verdict.instability is not None:
         return (), verdict.complete
-    say("looking for more informative motions", 1.0)
+    say("looking for more informative motions", SEARCHED)
     try:
         return tuple(recommend(problem, verdict)), True
     except KeyboardInterrupt:

@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -18,6 +19,7 @@ from hidden_arms import TWO_LINKS, record
 from recipe_cases import RECIPES, refused, start, tree
 from small_problems import ARM, arm_problem
 
+from rlco.gap import workflow
 from rlco.gap.logs.log import Array, Log
 from rlco.physics.effects import AppliedEffect
 
@@ -233,6 +235,27 @@ def test_only_the_first_ctrl_c_ends_what_runs_and_none_the_writing() -> None:
             signal.raise_signal(signal.SIGINT)
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def test_ctrl_c_after_the_search_loses_nothing(
+    case: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Asked to end while its figures are prepared, it writes them, and then ends."""
+    real = workflow.figure_data
+
+    def interrupted(*given: Any) -> Any:
+        signal.raise_signal(signal.SIGINT)
+        return real(*given)
+
+    monkeypatch.setattr(workflow, "figure_data", interrupted)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        with pytest.raises(SystemExit) as ended:
+            start("find_gap", *case, f"out={tmp_path / 'out'}", "film=false")
+    finally:
+        signal.signal(signal.SIGINT, before)
+    assert ended.value.code == 130
+    assert json.loads((tmp_path / "out" / "report.json").read_text())["complete"]
 
 
 def test_what_a_killed_search_left_is_begun_anew_or_refused(

@@ -68,7 +68,10 @@ def find_gap(
         seconds = time.perf_counter() - began
         return unstable_verdict(problem, error.instability, *split(problem), seconds)
     state, complete = search(state, on_step)
-    return conclude(state, complete=complete, seconds=time.perf_counter() - began)
+    try:
+        return conclude(state, complete=complete, seconds=time.perf_counter() - began)
+    except KeyboardInterrupt:  # it was to end the search, and that has ended
+        return conclude(state, complete=complete, seconds=time.perf_counter() - began)
 
 
 def search(first: State, on_step: Progress | None = None) -> tuple[State, bool]:
