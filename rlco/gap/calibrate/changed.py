@@ -59,6 +59,10 @@ class Changed(Problem):
         some = np.isin(self.layout.recording, recordings)
         return rows * self.weight[some] - self.correction[some]
 
+    def by_guesses(self, hypothesis: Hypothesis) -> Array:
+        """Return changes of the residuals by guessed commands, (K, N)."""
+        return np.asarray(self.base.by_guesses(hypothesis) * self.weight)
+
     def runs(self, hypothesis: Hypothesis, recordings: Sequence[int]) -> Sequence[Run]:
         """Return the rollouts of some recordings, see `Problem.runs`."""
         return self.base.runs(hypothesis, recordings)

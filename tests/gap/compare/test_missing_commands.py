@@ -11,6 +11,7 @@ import pytest
 from hidden_arms import TWO_LINKS, commands, record
 from numpy.typing import NDArray
 
+from rlco.gap.calibrate.changed import Changed
 from rlco.gap.compare.arm.commands.missing import filled_in, with_missing_commands
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Hypothesis
@@ -140,6 +141,16 @@ def test_with_free_guesses_lost_commands_leave_nothing_but_noise() -> None:
     assert np.sqrt(np.mean(whitening.whiten(residual) ** 2)) == pytest.approx(
         1.0, abs=0.05
     )
+
+
+def test_guesses_are_free_in_recordings_of_what_changed_too() -> None:
+    problem = arm(decided(lossy(record())))
+    guesses = problem.by_guesses(Hypothesis())
+    count = guesses.shape[1]
+    weight = np.where(np.arange(count) % 2, 1.0, 0.25)
+    later = Changed(problem, np.zeros(count), NOISE, weight)
+    np.testing.assert_allclose(later.by_guesses(Hypothesis()), guesses * weight)
+    assert len(start(later).setting.guessed) == len(guesses) > 0
 
 
 def test_under_a_delay_guesses_are_freed_anew() -> None:
