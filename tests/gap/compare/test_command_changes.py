@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlco.gap.compare.arm.commands.changes import CommandChanges
+from rlco.gap.compare.arm.command_changes import CommandChanges
 from rlco.gap.compare.segments import held_commands
 from rlco.gap.logs.log import Recording
 

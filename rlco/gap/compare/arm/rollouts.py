@@ -21,9 +21,9 @@ from rlco.gap.compare.arm.channels import (
     joint_names,
     layout_of,
 )
-from rlco.gap.compare.arm.commands.changes import CommandChanges
-from rlco.gap.compare.arm.commands.guessed import by_guesses, held_off
+from rlco.gap.compare.arm.command_changes import CommandChanges
 from rlco.gap.compare.arm.divergence import diverged
+from rlco.gap.compare.arm.guessed_commands import by_guesses, held_off
 from rlco.gap.compare.arm.kernel import Outside
 from rlco.gap.compare.arm.needed_torque import limits, servo_torque, static_torque
 from rlco.gap.compare.arm.read_wrong import read_wrong

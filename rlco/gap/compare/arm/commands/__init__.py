@@ -1,1 +1,1 @@
-"""Commands of a log: as sums of changes, late, missing, and guessed."""
+"""Commands that are late, and commands that are missing."""

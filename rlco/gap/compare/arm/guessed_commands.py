@@ -9,25 +9,41 @@ apart, and a few rollouts measure all.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import Protocol, Self
 
+import mujoco
 import numpy as np
 
-from rlco.gap.compare.problem import Hypothesis
+from rlco.gap.compare.problem import Hypothesis, Layout
 from rlco.gap.compare.segments import held_commands
-from rlco.gap.logs.log import Array, Recording
+from rlco.gap.logs.log import Array, Log, Recording
 from rlco.physics.effects.targets import actuator_of
-
-if TYPE_CHECKING:
-    from rlco.gap.compare.arm.rollouts import ArmRollouts
 
 _REMEMBERED = 0.8  # time in which an arm forgets a wrong command [s]
 _SEEN = 0.5  # error of a command, over the noise, that a joint could show
 _SHOWN = 1.0  # root of the sum of squares, over the noise, of a response that counts
 
 
-def by_guesses(problem: ArmRollouts, hypothesis: Hypothesis) -> Array:
+class Replayed(Protocol):
+    """A robot with a log whose commands may be guessed, see `ArmRollouts`."""
+
+    model: mujoco.MjModel
+    log: Log
+    layout: Layout
+    noise: Array
+
+    def residuals(self, hypotheses: Sequence[Hypothesis]) -> Array:
+        """Return measured minus simulated under each hypothesis, (hypotheses, N)."""
+        ...
+
+    def with_other_guesses(self, off: Sequence[Array | None]) -> Self:
+        """Return the same with unread commands that are off by other amounts."""
+        ...
+
+
+def by_guesses(problem: Replayed, hypothesis: Hypothesis) -> Array:
     """Return the changes of the residuals by guesses that are off, (K, N).
 
     Args:
@@ -72,7 +88,7 @@ def by_guesses(problem: ArmRollouts, hypothesis: Hypothesis) -> Array:
     return np.stack(found) if found else none
 
 
-def _noise_of_commands(problem: ArmRollouts) -> Array:
+def _noise_of_commands(problem: Replayed) -> Array:
     """Return the noise of the joint that each of the log's commands moves."""
     noise = {
         actuator_of(problem.model, joint): float(size)
