@@ -220,9 +220,12 @@ def _searched(problem: ArmRollouts, *names: str) -> State:
 def test_an_effect_is_named_at_the_joint_whose_encoder_errs(
     eccentric: ArmRollouts,
 ) -> None:
-    found = _searched(eccentric, "viscous_damping", "coulomb_friction")
+    found = _searched(eccentric, "viscous_damping", "coulomb_friction", "encoder_scale")
     (effect,) = found.best.effects
     assert (effect.name, effect.target) == ("viscous_damping", "shoulder")
+    # Its encoder errs freely, so the library's error of it is no effect besides.
+    scales = {c.target for c in found.setting.library if c.name == "encoder_scale"}
+    assert scales == {"elbow"}
     assert effect.parameters["damping"] == pytest.approx(0.3, rel=0.05)
     assert found.free_form is not None
     assert found.free_form.of_encoder
