@@ -193,12 +193,12 @@ def test_a_hidden_friction_is_found() -> None:
 
 
 def test_a_hidden_damping_is_fitted_to_its_size_across_contacts() -> None:
-    joint, hidden = "robot0_joint4", 6.0
+    joint, hidden = "robot0_joint2", 16.0
     problem = problem_of(record(hidden_damping(joint, hidden))[0])
     whiten = start(problem).setting.whiten
-    begin = with_effect("viscous_damping", joint, damping=4.0).effects
+    begin = with_effect("viscous_damping", joint, damping=9.0).effects
     (found,) = fit(library_of(problem), [begin], whiten, steps=8, tolerance=1e-4)
-    assert found.effects[0].values[0] == pytest.approx(hidden, rel=0.03)
+    assert found.effects[0].values[0] == pytest.approx(hidden, rel=0.05)
 
 
 def test_late_commands_and_a_wrong_encoder_are_told_apart_from_none() -> None:

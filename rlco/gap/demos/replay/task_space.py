@@ -43,7 +43,7 @@ from rlco.physics.tasks.make_task import make_task
 _TOUCH = 0.002  # distance that counts as contact [m]
 _MOVING = 0.02  # speed that counts as motion [m/s]
 _RUN_IN = 2  # rows after which an arm has forgotten its initial velocity
-_SETTLING = 4  # further rows for damped joints and lagging actuators to settle
+_LAGGING = 4  # further rows after which lagging actuators have settled
 _DAMPING = (0.03, 0.2)  # of the torque that holds a joint's links, at 1 rad/s
 _FINEST = 1e-5  # smallest noise of a channel [m or rad]
 
@@ -286,8 +286,8 @@ class TaskSpaceProblem(Problem):
     def _job(self, plant: Plant, segment: Segment, track: Track) -> Job:
         actions, first = self._actions[segment.recording], segment.first
         start = track.start(plant.control, actions, first)
-        # Tracks have the velocity of joints without any effect.
-        earlier = max(segment.begin, first - _RUN_IN - _SETTLING)
+        rows = _RUN_IN + _LAGGING * plant.control.acting.lags
+        earlier = max(segment.begin, first - rows)
         way = track.start(plant.control, actions, earlier)
         before = way, actions[earlier:first]
         return Job(plant, start, actions[first : segment.last], before)
