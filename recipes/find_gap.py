@@ -106,11 +106,11 @@ def main(config: Config) -> None:
         return
     check_new_folder(Path(config.out))
     with one_interrupt() as ends, whole_folder(config.out) as part:
-        with progress_bar() as shown:
+        with progress_bar() as show:
 
             def progress(said: str, part: float) -> None:
                 ends.held = part >= 1.0  # what was found is lost no more
-                shown(said, part)
+                show(said, part)
 
             finding = run_gap(
                 config.model,

@@ -88,13 +88,13 @@ def write_page(name: str, experiment: Path, cells: Path) -> str:
             kept = f"{name}-{figure.stem.replace(' ', '-')}.png"
             shutil.copy(figure, DOCS / "figures" / kept)
             figures.append(f"![{figure.stem}](../figures/{kept})\n")
-    shown = (
+    rerun = (
         f"uv run recipes/compare.py experiment={experiment.relative_to(ROOT)} "
         f"cells={cells.relative_to(ROOT)} hours=0 code=any"
     )
     page = DOCS / "tables" / f"{name}.md"
     page.parent.mkdir(exist_ok=True)
-    text = f"# {name}\n\n```\n$ {shown}\n```\n\n{tables}"
+    text = f"# {name}\n\n```\n$ {rerun}\n```\n\n{tables}"
     page.write_text(text + "\n".join(figures), "utf-8")
     print(f"docs/tables/{name}.md: written")
     overview, *sections = tables.split("\n## ")

@@ -77,7 +77,7 @@ def sources(script: Path) -> dict[str, Path]:
     """
     roots = (script.parent.resolve(), ROOT)
     waiting, found = [script.resolve()], dict[str, Path]()
-    seen, modules = {*waiting}, set[str]()
+    known, modules = {*waiting}, set[str]()
     while waiting:
         path = waiting.pop()
         found[_name(path, roots)] = path
@@ -87,8 +87,8 @@ def sources(script: Path) -> dict[str, Path]:
         further = {file for module in fresh for file in _files(module, roots)}
         if by_name:
             further |= {*path.parent.rglob("*.py")}
-        waiting += further - seen
-        seen |= further
+        waiting += further - known
+        known |= further
     return found
 
 

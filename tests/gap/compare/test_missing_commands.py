@@ -77,7 +77,7 @@ def late(episode: int) -> NDArray[np.float64]:
 DELAY = AppliedEffect("command_delay", None, {"delay": LATE / 50})
 
 
-def told(log: Log, motion: Callable[[int], NDArray[np.float64]]) -> Log:
+def with_commands(log: Log, motion: Callable[[int], NDArray[np.float64]]) -> Log:
     """The log with the commands as they were sent."""
     pairs = enumerate(log.recordings)
     recordings = [replace(one, command=motion(index)) for index, one in pairs]
@@ -98,12 +98,14 @@ def test_a_loop_that_skips_holds_its_command() -> None:
 
 
 def test_late_commands_that_were_sent_are_interpolated() -> None:
-    log = told(record(weak, motion=late), commands)
+    log = with_commands(record(weak, motion=late), commands)
     assert "the motion fits them better" in decided(lossy(log)).notes[-1]
 
 
 def test_a_loop_that_skips_and_is_late_holds_its_command() -> None:
-    log = told(record(weak, motion=lambda episode: later(skipping(episode))), commands)
+    log = with_commands(
+        record(weak, motion=lambda episode: later(skipping(episode))), commands
+    )
     assert "the command before holds in" in decided(lossy(log)).notes[-1]
 
 
@@ -143,6 +145,13 @@ def test_with_free_guesses_lost_commands_leave_nothing_but_noise() -> None:
     assert start(problem).none.error == pytest.approx(1.0, abs=0.07)
 
 
+def test_guesses_that_are_sure_cost_no_rollout_and_free_nothing() -> None:
+    log = decided(lossy(record()))
+    sure = [replace(one, guessed=0.0 * one.guessed) for one in log.recordings]
+    problem = arm(replace(log, recordings=tuple(sure)))
+    assert problem.by_guesses(Hypothesis()).shape == (0, len(problem.layout.time))
+
+
 def test_guesses_are_free_in_recordings_of_what_changed_too() -> None:
     problem = arm(decided(lossy(record())))
     guesses = problem.by_guesses(Hypothesis())
@@ -154,7 +163,7 @@ def test_guesses_are_free_in_recordings_of_what_changed_too() -> None:
 
 
 def test_under_a_delay_guesses_are_freed_anew() -> None:
-    log = decided(lossy(told(record(motion=late), commands)))
+    log = decided(lossy(with_commands(record(motion=late), commands)))
     first = start(arm(log))
     state, (found,) = first.fit([(DELAY,)])
     state = rewhiten(replace(state, best=found))
@@ -166,7 +175,9 @@ def test_under_a_delay_guesses_are_freed_anew() -> None:
 
 
 def test_a_delay_is_named_though_commands_are_lost() -> None:
-    verdict = find_gap(arm(decided(lossy(told(record(motion=late), commands)))))
+    verdict = find_gap(
+        arm(decided(lossy(with_commands(record(motion=late), commands))))
+    )
     (effect,) = verdict.effects
     assert effect.name == "command_delay"
     assert effect.parameters["delay"].value == pytest.approx(LATE / 50, abs=1e-3)

@@ -1,10 +1,8 @@
 """Commands that a log has lost and that are guessed: what an error of a guess changes.
 
 A guess between a step's two levels may be off by half of the step, and one in smooth
-motion by next to nothing. Each guess that could be seen is a free amount of a fit, with
-the standard deviation of `Recording.guessed`. A servo forgets a wrong command within a
-fraction of a second, so one rollout measures the responses to guesses that are far
-apart, and a few rollouts measure all.
+motion by next to nothing. Each guess that could be observed is a free amount of a fit,
+with the standard deviation of `Recording.guessed`.
 """
 
 from __future__ import annotations
@@ -16,14 +14,14 @@ from typing import Protocol, Self
 import mujoco
 import numpy as np
 
+from rlco.gap.compare.arm.combs import combs_of, until
 from rlco.gap.compare.problem import Hypothesis, Layout
 from rlco.gap.compare.segments import held_commands
 from rlco.gap.logs.log import Array, Log, Recording
 from rlco.physics.effects.targets import actuator_of
 
-_REMEMBERED = 0.8  # time in which an arm forgets a wrong command [s]
-_SEEN = 0.5  # error of a command, over the noise, that a joint could show
-_SHOWN = 1.0  # root of the sum of squares, over the noise, of a response that counts
+_OBSERVABLE = 0.5  # error of a command, over the noise, that a joint could show
+_COUNTS = 1.0  # root of the sum of squares, over the noise, of a response that counts
 
 
 class Replayed(Protocol):
@@ -61,6 +59,8 @@ def by_guesses(problem: Replayed, hypothesis: Hypothesis) -> Array:
     noise = _noise_of_commands(problem)
     turns = [_turns(one, noise) for one in logs]
     count = max(int(one.max(initial=-1)) for one in turns) + 1
+    if not count:
+        return none
     problems = [problem]
     for actuator in range(len(noise)):
         for turn in range(count):
@@ -71,20 +71,24 @@ def by_guesses(problem: Replayed, hypothesis: Hypothesis) -> Array:
     rows = np.concatenate([one.residuals([hypothesis]) for one in problems])
     if not np.isfinite(rows[0]).all():
         return none
-    moved = rows[1:] - rows[0]
+    moved = (rows[1:] - rows[0]).reshape(len(noise), count, -1)
     scale = problem.noise[layout.channel]
     found = []
     for index, (log, own) in enumerate(zip(logs, turns, strict=True)):
         here = np.flatnonzero(layout.recording == index)
-        for guess, actuator in np.argwhere(own >= 0):
-            turn = int(own[guess, actuator])
-            begin, end = _felt(log, own[:, actuator], guess)
-            near = here[(layout.time[here] >= begin) & (layout.time[here] < end)]
-            column = np.zeros(len(scale))
-            column[near] = moved[actuator * count + turn, near]
-            shown = float(np.linalg.norm(column / scale))
-            if _SHOWN < shown < np.inf:
-                found.append(column)
+        for actuator, turn in enumerate(own.T):
+            guesses = np.flatnonzero(turn >= 0)
+            if log.unread is None or not len(guesses):
+                continue
+            begins = log.unread[0][guesses]
+            ends = until(begins, begins, turn[guesses])
+            for begin, end, one in zip(begins, ends, turn[guesses], strict=True):
+                near = here[(layout.time[here] >= begin) & (layout.time[here] < end)]
+                column = np.zeros(len(scale))
+                column[near] = moved[actuator, one, near]
+                size = float(np.linalg.norm(column / scale))
+                if _COUNTS < size < np.inf:
+                    found.append(column)
     return np.stack(found) if found else none
 
 
@@ -107,13 +111,9 @@ def _turns(log: Recording, noise: Array) -> Array:
     if log.guessed is None or log.unread is None:
         return np.full((0, len(noise)), -1)
     time, turns = log.unread[0], np.full(log.guessed.shape, -1)
-    for actuator in range(turns.shape[1]):
-        free: list[float] = []
-        for guess in np.flatnonzero(log.guessed[:, actuator] > _SEEN * noise[actuator]):
-            at = time[guess]
-            turn = next((i for i, one in enumerate(free) if one <= at), len(free))
-            free[turn : turn + 1] = [at + _REMEMBERED]
-            turns[guess, actuator] = turn
+    for actuator, off in enumerate(log.guessed.T):
+        guesses = np.flatnonzero(off > _OBSERVABLE * noise[actuator])
+        turns[guesses, actuator] = combs_of(time[guesses], time[guesses])
     return turns
 
 
@@ -125,14 +125,6 @@ def _off(log: Recording, turns: Array, turn: int, actuator: int) -> Array | None
     off = np.zeros_like(log.guessed)
     off[mine, actuator] = log.guessed[mine, actuator]
     return off
-
-
-def _felt(log: Recording, turns: Array, guess: int) -> tuple[float, float]:
-    """Return from when to when a rollout's response is that to one guess [s]."""
-    time = log.unread[0] if log.unread is not None else np.zeros(0)
-    begin = float(time[guess])
-    later = time[(turns == turns[guess]) & (time > begin)]
-    return begin, min([begin + _REMEMBERED, *later[:1].tolist()])
 
 
 def held_off(

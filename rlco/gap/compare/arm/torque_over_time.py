@@ -15,6 +15,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
+from rlco.gap.compare.arm.combs import combs_of, until
 from rlco.gap.compare.arm.encoder_error import misread
 from rlco.gap.compare.arm.free_torque import servo_gain
 from rlco.gap.compare.arm.rollouts import ArmRollouts
@@ -30,7 +31,6 @@ _FINER = 4  # parts that the time between two hats is divided into, at most
 _ADDED = 300  # hats that this adds in all, at most
 _ROUGH = 3.0  # error of a torque as hats, over that in the median time, for which, and
 _LARGE = 0.15  # the same over the largest torque
-_REMEMBERED = 0.8  # time in which an arm forgets a push [s]
 _SMALL = 0.05  # part of the usual size that is tried
 
 
@@ -81,7 +81,7 @@ def torque_over_time(
     if torque == 0.0:
         return None
     knots = _knots(problem) if knots is None else knots
-    turns = [_turns(times) for times in knots]
+    turns = [combs_of(_begins(times), times) for times in knots]
     pushed = [problem]
     for turn in range(max(int(one.max()) for one in turns) + 1):
         push = {
@@ -98,7 +98,8 @@ def torque_over_time(
     at = 0
     for index, (times, own) in enumerate(zip(knots, turns, strict=True)):
         here = np.flatnonzero(layout.recording == index)
-        begins, ends = _felt(times, own)
+        begins = _begins(times)
+        ends = until(begins, times, own)
         for number, (begin, end) in enumerate(zip(begins, ends, strict=True)):
             near = here[(layout.time[here] >= begin) & (layout.time[here] < end)]
             columns[at + number, near] = moved[own[number], near]
@@ -113,32 +114,9 @@ def torque_over_time(
     )
 
 
-def _turns(times: Array) -> Integers:
-    """Return in which rollout the response to each hat is measured, (K,).
-
-    In one rollout hats are as far apart as an arm remembers.
-    """
-    turns, free = np.zeros(len(times), dtype=int), [-np.inf]
-    for number, begin in enumerate(_begins(times)):
-        turn = next((i for i, at in enumerate(free) if at <= begin + 1e-9), len(free))
-        free[turn : turn + 1] = [times[number] + _REMEMBERED]
-        turns[number] = turn
-    return turns
-
-
 def _begins(times: Array) -> Array:
     """Return when each hat begins to act, (K,)."""
     return np.asarray(times - np.diff(times, prepend=2.0 * times[0] - times[1]))
-
-
-def _felt(times: Array, turns: Integers) -> tuple[Array, Array]:
-    """Return from when to when the response to each hat is its own, (K,) both."""
-    begins = _begins(times)
-    ends = times + _REMEMBERED
-    for turn in range(int(turns.max()) + 1):
-        mine = np.flatnonzero(turns == turn)
-        ends[mine[:-1]] = begins[mine[1:]]
-    return begins, ends
 
 
 def with_hats(

@@ -1,4 +1,4 @@
-"""Rows that a bad stamp puts a tick off, told by the motion."""
+"""Rows that a bad stamp puts a tick off, found by the motion."""
 
 from __future__ import annotations
 
