@@ -17,7 +17,7 @@ import numpy as np
 from gap_plant import Hidden
 from gap_scoring import share_of
 
-from rlco.gap.compare.problem import NamedEffect, Verdict
+from rlco.gap.compare.verdict import NamedEffect, Verdict
 from rlco.runs.config import option
 
 _SIZE = 0.15  # relative error that is wanted

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from rlco.gap.compare.problem import Verdict
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.logs import read_log
 from rlco.gap.make_problem import make_problem
 from rlco.gap.model import load_model

@@ -11,7 +11,7 @@ from pathlib import Path
 import mujoco
 import numpy as np
 
-from rlco.gap.compare.problem import Verdict
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.logs import read_log
 from rlco.gap.logs.log import Log, Recording
 from rlco.gap.model import LoadedModel, load_model

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 import real_data
 
 from rlco.gap import find_gap, make_problem
-from rlco.gap.compare.problem import NamedEffect, Verdict
+from rlco.gap.compare.verdict import NamedEffect, Verdict
 from rlco.gap.compare.wording import title, title_of
 
 ERROR = "held-out error [mrad]"

@@ -9,9 +9,10 @@ import mujoco
 import numpy as np
 import real_data
 
-from rlco.gap.compare.problem import Candidate, Hypothesis, Verdict
+from rlco.gap.compare.problem import Candidate, Hypothesis
 from rlco.gap.compare.torque.convention import torque_problem
 from rlco.gap.compare.torque.torque_log import TorqueLog
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.logs.log import Array, Log
 from rlco.gap.make_problem import in_parts
 from rlco.gap.model import LoadedModel

@@ -23,11 +23,12 @@ from rlco.gap.calibrate.summary import Before, Summary, sizes, sizes_of
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.comparisons import Compared
 from rlco.gap.compare.noise import position_noise
-from rlco.gap.compare.problem import Hypothesis, Problem, Verdict
+from rlco.gap.compare.problem import Hypothesis, Problem
 from rlco.gap.compare.stability.instability import UnstableModelError, check_stable
 from rlco.gap.compare.torque.convention import factors_between, with_factors
 from rlco.gap.compare.torque.smooth_motion import rows_of
 from rlco.gap.compare.torque.torque_log import TorqueLog
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.logs.log import Array, Log
 from rlco.gap.make_problem import compared_in, in_parts, make_problem
 from rlco.gap.model import LoadedModel

@@ -7,11 +7,12 @@ from typing import Any
 
 from rlco.errors import DataError
 from rlco.gap.compare.comparisons import Comparison, warned
-from rlco.gap.compare.problem import Problem, Verdict
+from rlco.gap.compare.problem import Problem
 from rlco.gap.compare.torque.check import carried_over, check_gap
 from rlco.gap.compare.torque.convention import torque_problem
 from rlco.gap.compare.torque.held_commands import effort_jumps, warning
 from rlco.gap.compare.torque.torque_log import TorqueLog
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.logs.log import Log
 from rlco.gap.make_problem import in_parts
 from rlco.gap.model import LoadedModel

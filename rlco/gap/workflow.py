@@ -18,12 +18,8 @@ from rlco.gap.compare.comparisons import (
     first_lines,
     warned,
 )
-from rlco.gap.compare.problem import (
-    Gap,
-    NamedEffect,
-    Problem,
-    Verdict,
-)
+from rlco.gap.compare.problem import Problem
+from rlco.gap.compare.verdict import Gap, NamedEffect, Verdict
 from rlco.gap.correct.combined import combined
 from rlco.gap.correct.corrected_files import write_corrected
 from rlco.gap.correct.servo_files import SERVO_FILES, write_servo

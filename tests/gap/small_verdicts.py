@@ -5,14 +5,8 @@ from __future__ import annotations
 import numpy as np
 from small_problems import NOISE, Arm
 
-from rlco.gap.compare.problem import (
-    Candidate,
-    Gap,
-    Hypothesis,
-    NamedEffect,
-    Value,
-    Verdict,
-)
+from rlco.gap.compare.problem import Candidate, Hypothesis
+from rlco.gap.compare.verdict import Gap, NamedEffect, Value, Verdict
 from rlco.physics.effects import AppliedEffect
 
 FRICTION = AppliedEffect("coulomb_friction", "elbow", {"frictionloss": 0.6})

@@ -24,7 +24,7 @@ from small_problems import BALL
 
 from rlco.errors import DataError, RlcoError, UnknownNameError
 from rlco.gap import run_gap
-from rlco.gap.compare.problem import Verdict
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.logs.log import Log, Recording
 from rlco.gap.model import LoadedModel, load_model
 from rlco.gap.reference import calibrates, prepare, search

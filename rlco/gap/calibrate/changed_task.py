@@ -16,7 +16,8 @@ import numpy as np
 from rlco.errors import DataError
 from rlco.gap.calibrate.changed import Changed
 from rlco.gap.calibrate.summary import Before, Summary, sizes_of
-from rlco.gap.compare.problem import Hypothesis, Integers, Problem, Verdict
+from rlco.gap.compare.problem import Hypothesis, Integers, Problem
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.demos.conventions.check import check_conventions
 from rlco.gap.demos.replay.plants import Plants
 from rlco.gap.demos.replay.rollouts import Rollouts

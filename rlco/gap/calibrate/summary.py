@@ -8,13 +8,8 @@ import mujoco
 import numpy as np
 
 from rlco.gap.calibrate.fit import Calibration
-from rlco.gap.compare.problem import (
-    Hypothesis,
-    Integers,
-    NamedEffect,
-    Problem,
-    Value,
-)
+from rlco.gap.compare.problem import Hypothesis, Integers, Problem
+from rlco.gap.compare.verdict import NamedEffect, Value
 from rlco.gap.logs.log import Array
 from rlco.gap.search.intervals import NORMAL
 from rlco.physics.effects import EFFECTS, AppliedEffect

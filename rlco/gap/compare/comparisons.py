@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from rlco.errors import DataError, UnknownNameError
-from rlco.gap.compare.problem import Gap, Verdict
+from rlco.gap.compare.verdict import Gap, Verdict
 from rlco.gap.compare.wording import amount, listed
 from rlco.gap.logs.log import Log
 from rlco.gap.logs.matching import few

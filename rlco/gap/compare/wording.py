@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from rlco.gap.compare.problem import Candidate, NamedEffect
+from rlco.gap.compare.problem import Candidate
+from rlco.gap.compare.verdict import NamedEffect
 from rlco.physics.effects import AppliedEffect
 
 _SMALLER = {"rad": ("mrad", 1e3), "m": ("mm", 1e3), "s": ("ms", 1e3)}

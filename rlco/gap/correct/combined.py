@@ -13,7 +13,8 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from rlco.gap.compare.problem import Hypothesis, Verdict
+from rlco.gap.compare.problem import Hypothesis
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.logs.log import Array
 from rlco.physics.effects import EFFECTS, AppliedEffect, Parameter
 

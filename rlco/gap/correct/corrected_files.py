@@ -18,7 +18,7 @@ from xml.parsers.expat import ExpatError
 import mujoco
 import numpy as np
 
-from rlco.gap.compare.problem import Verdict
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.correct.xml_changes import CannotEditError, write_changes
 from rlco.gap.correct.xml_text import Editor, Element
 from rlco.gap.model import LoadedModel

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from rlco.gap.compare.problem import Verdict
 from rlco.gap.compare.servo.plant import SERVO_NUMBERS, fitted_servo
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.correct.corrected_files import (
     corrected_xml,
     rounded,

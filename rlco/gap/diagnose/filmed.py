@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rlco.gap.compare.problem import Problem, Verdict
+from rlco.gap.compare.problem import Problem
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.diagnose.traces import Stretch, judged_with
 from rlco.gap.logs.log import Array
 from rlco.physics.effects.targets import joints

@@ -13,14 +13,9 @@ from dataclasses import replace
 import numpy as np
 
 from rlco.gap.compare.arm.rollouts import ArmRollouts
-from rlco.gap.compare.problem import (
-    Candidate,
-    Hypothesis,
-    NamedEffect,
-    Problem,
-    Verdict,
-)
+from rlco.gap.compare.problem import Candidate, Hypothesis, Problem
 from rlco.gap.compare.servo.bench import ServoBench
+from rlco.gap.compare.verdict import NamedEffect, Verdict
 from rlco.gap.diagnose.motions import KINDS, Kind, Workspace, workspace_of
 from rlco.gap.diagnose.proposals import Motion as Motion
 from rlco.gap.diagnose.proposals import Trial, proposed

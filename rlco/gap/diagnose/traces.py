@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rlco.gap.compare.problem import Hypothesis, NamedEffect, Problem, Verdict
+from rlco.gap.compare.problem import Hypothesis, Problem
+from rlco.gap.compare.verdict import NamedEffect, Verdict
 from rlco.gap.diagnose.regimes import Labels
 from rlco.gap.diagnose.where import Where, where
 from rlco.gap.logs.log import Array

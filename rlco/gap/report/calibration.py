@@ -9,7 +9,7 @@ from typing import cast
 import mujoco
 
 from rlco.gap.calibrate.summary import Before, Summary
-from rlco.gap.compare.problem import NamedEffect
+from rlco.gap.compare.verdict import NamedEffect
 from rlco.gap.compare.wording import amount, in_words, number, title_of
 from rlco.gap.report.report_json import effect_json
 from rlco.reporting import html

@@ -6,7 +6,7 @@ from html import escape
 
 from matplotlib.figure import Figure
 
-from rlco.gap.compare.problem import FreeForm
+from rlco.gap.compare.verdict import FreeForm
 from rlco.gap.report.figures import CORRECTED, png
 from rlco.gap.report.verdict_text import outside_line
 from rlco.reporting import html

@@ -7,7 +7,7 @@ from html import escape
 import numpy as np
 from matplotlib.figure import Figure
 
-from rlco.gap.compare.problem import HeldOut, Verdict
+from rlco.gap.compare.verdict import HeldOut, Verdict
 from rlco.gap.compare.wording import amount, number, scale_of
 from rlco.gap.report.figures import CORRECTED, NOMINAL, png
 from rlco.reporting import html

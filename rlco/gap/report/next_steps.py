@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from rlco.gap.compare.comparisons import Comparison
-from rlco.gap.compare.problem import Verdict
 from rlco.gap.compare.stability.instability import UNSTABLE
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.compare.wording import in_words, listed, title
 from rlco.gap.diagnose.proposals import NO_MOTION
 from rlco.gap.report.verdict_text import is_loud

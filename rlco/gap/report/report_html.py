@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 
 from rlco.gap.calibrate.summary import Before, Summary
 from rlco.gap.compare.comparisons import Comparison
-from rlco.gap.compare.problem import Instability, NamedEffect, Verdict
+from rlco.gap.compare.problem import Instability
 from rlco.gap.compare.stability.instability import changed_words
+from rlco.gap.compare.verdict import NamedEffect, Verdict
 from rlco.gap.compare.wording import amount, capital, in_words, plain, title, title_of
 from rlco.gap.diagnose.traces import FigureData
 from rlco.gap.logs.log import Log

@@ -7,16 +7,8 @@ from collections.abc import Mapping, Sequence
 
 import mujoco
 
-from rlco.gap.compare.problem import (
-    Candidate,
-    FreeForm,
-    Gap,
-    HeldOut,
-    Instability,
-    NamedEffect,
-    Value,
-    Verdict,
-)
+from rlco.gap.compare.problem import Candidate, Instability
+from rlco.gap.compare.verdict import FreeForm, Gap, HeldOut, NamedEffect, Value, Verdict
 from rlco.gap.diagnose.where import Where
 from rlco.physics.effects import EFFECTS
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import mujoco
 
-from rlco.gap.compare.problem import FreeForm, HeldOut, NamedEffect, Verdict
 from rlco.gap.compare.stability.instability import UNSTABLE, summary
+from rlco.gap.compare.verdict import FreeForm, HeldOut, NamedEffect, Verdict
 from rlco.gap.compare.wording import (
     amount,
     capital,

@@ -7,9 +7,10 @@ from collections.abc import Callable, Collection, Generator, Iterator
 
 import numpy as np
 
-from rlco.gap.compare.problem import Gap, Hypothesis, Problem, Verdict
+from rlco.gap.compare.problem import Hypothesis, Problem
 from rlco.gap.compare.servo.bench import ServoBench
 from rlco.gap.compare.stability.instability import UnstableModelError, unstable_verdict
+from rlco.gap.compare.verdict import Gap, Verdict
 from rlco.gap.search.judge import LARGEST
 from rlco.gap.search.outside.free_form import free_form
 from rlco.gap.search.outside.free_joint import free_joint

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from rlco.gap.compare.problem import Candidate, FreeForm, Gap, Problem
+from rlco.gap.compare.problem import Candidate, Problem
+from rlco.gap.compare.verdict import FreeForm, Gap
 from rlco.gap.logs.log import Array
 from rlco.gap.search.fit import Fit, fit
 from rlco.gap.search.lateness import Lateness

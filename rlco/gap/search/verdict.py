@@ -6,13 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from rlco.gap.compare.problem import (
-    Candidate,
-    Hypothesis,
-    NamedEffect,
-    Value,
-    Verdict,
-)
+from rlco.gap.compare.problem import Candidate, Hypothesis
+from rlco.gap.compare.verdict import NamedEffect, Value, Verdict
 from rlco.gap.logs.log import Array
 from rlco.gap.search.judge import (
     LOUD,

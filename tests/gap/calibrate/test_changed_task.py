@@ -10,7 +10,8 @@ from task_recordings import hidden_friction, hidden_mass, record, rollouts
 
 from rlco.errors import DataError
 from rlco.gap.calibrate.changed_task import ChangedTask, changed_task
-from rlco.gap.compare.problem import Hypothesis, Verdict
+from rlco.gap.compare.problem import Hypothesis
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.demos.replay.task_space import TaskSpaceProblem
 from rlco.gap.logs.log import Log
 from rlco.gap.model import load_model

@@ -16,7 +16,8 @@ from test_free_body import box, tosses
 
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.free_body import FreeBody
-from rlco.gap.compare.problem import Divergence, Hypothesis, Instability, Verdict
+from rlco.gap.compare.problem import Divergence, Hypothesis, Instability
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.diagnose.regimes import label_regimes
 from rlco.gap.diagnose.traces import figure_data
 from rlco.gap.diagnose.where import where

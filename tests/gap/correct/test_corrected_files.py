@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from log_cases import urdf
 
-from rlco.gap.compare.problem import Gap, Hypothesis, NamedEffect, Value, Verdict
+from rlco.gap.compare.problem import Hypothesis
+from rlco.gap.compare.verdict import Gap, NamedEffect, Value, Verdict
 from rlco.gap.correct.corrected_files import corrected_xml, write_corrected
 from rlco.gap.model import LoadedModel, load_model
 from rlco.physics.effects import AppliedEffect

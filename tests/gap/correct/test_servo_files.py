@@ -11,8 +11,9 @@ import pytest
 from bench_runs import goals, write_bench, write_run
 
 from rlco.gap import load_model, make_problem, read_log
-from rlco.gap.compare.problem import Gap, Hypothesis, Verdict
+from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.compare.servo.plant import SERVO_NUMBERS
+from rlco.gap.compare.verdict import Gap, Verdict
 from rlco.gap.correct.servo_files import write_servo
 from rlco.gap.logs.log import Array
 from rlco.gap.make_problem import as_compared

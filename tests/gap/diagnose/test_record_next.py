@@ -16,7 +16,8 @@ from small_problems import ARM
 from rlco.errors import OutputExistsError
 from rlco.gap import load_model, make_problem, read_log
 from rlco.gap.compare.arm.rollouts import ArmRollouts
-from rlco.gap.compare.problem import Candidate, Gap, Hypothesis, NamedEffect, Verdict
+from rlco.gap.compare.problem import Candidate, Hypothesis
+from rlco.gap.compare.verdict import Gap, NamedEffect, Verdict
 from rlco.gap.diagnose.command_file import write_commands
 from rlco.gap.diagnose.motions import KINDS, Workspace, workspace_of
 from rlco.gap.diagnose.proposals import Motion, Trial, proposed

@@ -9,7 +9,8 @@ import pytest
 from small_problems import Arm, arm_problem
 from small_verdicts import DAMPING, FRICTION, named, nothing_named
 
-from rlco.gap.compare.problem import HeldOut, HeldOutGroup, Hypothesis
+from rlco.gap.compare.problem import Hypothesis
+from rlco.gap.compare.verdict import HeldOut, HeldOutGroup
 from rlco.gap.diagnose.regimes import label_regimes
 from rlco.gap.diagnose.traces import REFITTED, best_stretches, figure_data
 from rlco.gap.diagnose.where import where

@@ -13,14 +13,8 @@ from html_page import Read
 from small_problems import Arm, Interruptible, arm_problem
 from small_verdicts import DAMPING, FRICTION, named, nothing_named
 
-from rlco.gap.compare.problem import (
-    Candidate,
-    FreeForm,
-    Hypothesis,
-    NamedEffect,
-    Value,
-    Verdict,
-)
+from rlco.gap.compare.problem import Candidate, Hypothesis
+from rlco.gap.compare.verdict import FreeForm, NamedEffect, Value, Verdict
 from rlco.gap.diagnose.regimes import label_regimes
 from rlco.gap.diagnose.traces import best_stretches, figure_data
 from rlco.gap.diagnose.where import where

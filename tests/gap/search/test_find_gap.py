@@ -11,7 +11,7 @@ import pytest
 from hidden_arms import TWO_LINKS, Act, Hide, record
 
 from rlco.gap.compare.arm.rollouts import ArmRollouts
-from rlco.gap.compare.problem import Verdict
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.search.find_gap import find_gap
 from rlco.physics.effects import EFFECTS
 

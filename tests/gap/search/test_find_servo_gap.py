@@ -15,8 +15,9 @@ from html_page import Read
 
 from rlco.errors import DataError, UnknownNameError
 from rlco.gap import Finding, find_gap, load_model, make_problem, read_log, run_gap
-from rlco.gap.compare.problem import Candidate, Verdict
+from rlco.gap.compare.problem import Candidate
 from rlco.gap.compare.servo.plant import SERVO_NUMBERS
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.search.servo.ladder import Judged, alone, groups_of, judge, ladder_of
 from rlco.gap.search.servo.verdict import half_widths
 from rlco.gap.servo_models import SERVOS

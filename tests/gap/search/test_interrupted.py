@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from small_problems import Interruptible, arm_problem
 
-from rlco.gap.compare.problem import Verdict
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.search.find_gap import closed, find_gap, search, states
 from rlco.gap.search.state import State
 from rlco.gap.search.steps.start import start

@@ -11,7 +11,8 @@ from hidden_arms import FPS, TURNTABLES, TWO_LINKS, Hide, record
 from numpy.typing import NDArray
 
 from rlco.gap.compare.arm.rollouts import ArmRollouts
-from rlco.gap.compare.problem import Candidate, Verdict
+from rlco.gap.compare.problem import Candidate
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.logs.log import Log, Recording
 from rlco.gap.search.find_gap import additions, closed, find_gap
 from rlco.gap.search.fit import Library

@@ -15,17 +15,10 @@ from rlco.gap.compare.arm.divergence import (
     is_stable_implicitly,
     stable_timestep,
 )
-from rlco.gap.compare.problem import (
-    Divergence,
-    Gap,
-    Hypothesis,
-    Instability,
-    Problem,
-    Run,
-    Verdict,
-)
+from rlco.gap.compare.problem import Divergence, Hypothesis, Instability, Problem, Run
 from rlco.gap.compare.stability.chatter import find_chatter
 from rlco.gap.compare.stability.servo_stability import JointServo, joint_servo
+from rlco.gap.compare.verdict import Gap, Verdict
 from rlco.gap.logs.log import Array
 from rlco.physics.effects.targets import ONE_AXIS
 from rlco.physics.mj.libmujoco import silenced_warnings

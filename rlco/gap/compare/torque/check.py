@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from rlco.gap.compare.problem import Gap, Hypothesis
+from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.compare.torque.torque_log import TorqueLog
+from rlco.gap.compare.verdict import Gap
 from rlco.physics.effects import EFFECTS
 from rlco.physics.effects.actuator import ACTUATOR_GAIN, TORQUE_BIAS
 

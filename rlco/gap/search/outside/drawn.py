@@ -7,7 +7,8 @@ import numpy as np
 from rlco.gap.compare.arm.encoder_error import at_times
 from rlco.gap.compare.arm.free_torque import hats, session_begins
 from rlco.gap.compare.arm.rollouts import ArmRollouts
-from rlco.gap.compare.problem import FreeForm, Hypothesis
+from rlco.gap.compare.problem import Hypothesis
+from rlco.gap.compare.verdict import FreeForm
 from rlco.gap.logs.log import Array
 from rlco.gap.search.outside.freed import USUAL_ERROR, Amounts, Freed
 from rlco.gap.search.state import State

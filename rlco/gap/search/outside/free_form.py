@@ -23,8 +23,9 @@ from rlco.gap.compare.arm.free_torque import (
     session_begins,
 )
 from rlco.gap.compare.arm.rollouts import ArmRollouts
-from rlco.gap.compare.problem import FreeForm, Hypothesis
+from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.compare.torque.torque_log import TorqueLog
+from rlco.gap.compare.verdict import FreeForm
 from rlco.gap.logs.log import Array
 from rlco.gap.search.comparison import clearly_better
 from rlco.gap.search.judge import NAMED, found, kind

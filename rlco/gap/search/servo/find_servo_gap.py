@@ -13,8 +13,8 @@ import time
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import replace
 
-from rlco.gap.compare.problem import Verdict
 from rlco.gap.compare.servo.bench import ServoBench
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.compare.wording import amount, title
 from rlco.gap.search.judge import BETTER, NEAR_FLOOR, at_bounds
 from rlco.gap.search.servo.ladder import (

@@ -9,18 +9,17 @@ import numpy as np
 from scipy.stats import t
 
 from rlco.errors import DataError
-from rlco.gap.compare.problem import (
-    Candidate,
+from rlco.gap.compare.problem import Candidate, Hypothesis
+from rlco.gap.compare.servo.independent_channel import supply_sag
+from rlco.gap.compare.servo.plant import fitted_servo
+from rlco.gap.compare.verdict import (
     Gap,
     HeldOut,
     HeldOutGroup,
-    Hypothesis,
     NamedEffect,
     Value,
     Verdict,
 )
-from rlco.gap.compare.servo.independent_channel import supply_sag
-from rlco.gap.compare.servo.plant import fitted_servo
 from rlco.gap.compare.wording import amount
 from rlco.gap.logs.log import Array
 from rlco.gap.search.intervals import COVERED

@@ -6,8 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from rlco.gap.compare.problem import Candidate, Gap, Hypothesis
+from rlco.gap.compare.problem import Candidate, Hypothesis
 from rlco.gap.compare.residuals import describe_residual
+from rlco.gap.compare.verdict import Gap
 from rlco.gap.logs.log import Array
 from rlco.gap.search.fit import linearise
 from rlco.gap.search.intervals import NORMAL, half_widths

@@ -8,7 +8,7 @@ import pytest
 from hidden_arms import TURNTABLES, Act, Hide, record
 
 from rlco.gap.compare.arm.rollouts import ArmRollouts
-from rlco.gap.compare.problem import FreeForm, Verdict
+from rlco.gap.compare.verdict import FreeForm, Verdict
 from rlco.gap.logs.log import Array
 from rlco.gap.report.free_form import free_form_figure
 from rlco.gap.report.verdict_text import outside_line

@@ -18,14 +18,9 @@ from rlco.gap.compare.arm.torque_over_time import (
     torque_over_time,
     with_amounts,
 )
-from rlco.gap.compare.problem import (
-    Candidate,
-    Divergence,
-    Hypothesis,
-    Instability,
-    Verdict,
-)
+from rlco.gap.compare.problem import Candidate, Divergence, Hypothesis, Instability
 from rlco.gap.compare.stability.instability import UnstableModelError
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.logs.log import Array
 from rlco.gap.report.verdict_text import outside_line
 from rlco.gap.search.find_gap import additions, find_gap

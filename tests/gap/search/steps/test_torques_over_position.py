@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from recorded_torques import XML, Hide, record_torques
 
-from rlco.gap.compare.problem import Verdict
 from rlco.gap.compare.torque.torque_log import TorqueLog
+from rlco.gap.compare.verdict import Verdict
 from rlco.gap.search.find_gap import find_gap
 
 Act = Callable[[mujoco.MjModel, mujoco.MjData], None]

@@ -11,7 +11,7 @@ import pytest
 from hidden_arms import TURNTABLES, Act, Hide, record
 
 from rlco.gap.compare.arm.rollouts import ArmRollouts
-from rlco.gap.compare.problem import Value, Verdict
+from rlco.gap.compare.verdict import Value, Verdict
 from rlco.gap.search.find_gap import additions, find_gap
 from rlco.gap.search.steps.start import start
 from rlco.gap.search.steps.uncommon import uncommon
