@@ -62,7 +62,7 @@ def numbers_of(
             given before and after.
 
     Example:
-        >>> from rlco.gap.compare.problem import Value
+        >>> from rlco.gap.compare.verdict import Value
         >>> numbers = {"delay": Value(0.031, 0.029, 0.033, "s")}
         >>> numbers_of(NamedEffect("command_delay", None, numbers))
         [('delay', '31.0 ms', '29.0 to 33.0')]
