@@ -12,6 +12,7 @@ from hidden_arms import TWO_LINKS, Act, Hide, record
 
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.verdict import Verdict
+from rlco.gap.search import find_gap as find_gap_module
 from rlco.gap.search.find_gap import find_gap
 from rlco.physics.effects import EFFECTS
 
@@ -125,6 +126,23 @@ def test_an_interruption_keeps_the_best_so_far() -> None:
     verdict = _verdict(_two, on_step=interrupt)
     assert not verdict.complete
     assert ("actuator_gain", "shoulder") in _names(verdict)
+
+
+def test_an_interruption_of_its_end_loses_nothing_of_a_search(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    real, calls = find_gap_module.conclude, []
+
+    def interrupted(*given: Any, **options: Any) -> Verdict:
+        calls.append(given)
+        if len(calls) == 1:
+            raise KeyboardInterrupt
+        return real(*given, **options)
+
+    monkeypatch.setattr(find_gap_module, "conclude", interrupted)
+    verdict = _verdict(_spread)
+    assert verdict.complete
+    assert len(calls) == 2
 
 
 def test_a_motor_that_can_hardly_hold_its_arm_is_named_alone() -> None:
