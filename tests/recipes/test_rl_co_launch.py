@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import ray
 from rank_cases import Found, in_two_ranks, next_group
 from recipe_cases import RL_CO, Assets, refused, start
 
 from rlco.errors import ConfigError
 from rlco.run import Run
+from rlco.runs.compare import ray_processes
 from rlco.runs.compare.processes import Ended
 from rlco.runs.compare.ray_processes import RayProcesses
 from rlco.runs.metrics import read_metrics
@@ -162,6 +164,32 @@ def test_a_job_on_the_cluster_is_interrupted_as_by_ctrl_c(
         assert processes.poll(process) is None
     processes.stop(process)
     assert log.read_text() == "waits\nstops\n"
+
+
+def test_an_interruption_that_is_lost_is_repeated_and_the_job_hears_one(
+    processes: RayProcesses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log, real, calls = tmp_path / "log.txt", ray.cancel, []
+
+    def lossy(process: Any) -> None:
+        calls.append(process)
+        if len(calls) > 1:
+            real(process)
+
+    code = (
+        "import time\nprint('waits', flush=True)\n"
+        "try:\n    time.sleep(600)\nexcept KeyboardInterrupt:\n"
+        "    time.sleep(1.5)\n    print('stops')\n"
+    )
+    process = processes.start(["python", "-c", code], log, nice=0)
+    while not log.exists() or "waits" not in log.read_text():
+        assert processes.poll(process) is None
+    monkeypatch.setattr(ray, "cancel", lossy)
+    monkeypatch.setattr(ray_processes, "_AGAIN", 0.5)
+    ended = processes.stop(process)
+    assert log.read_text() == "waits\nstops\n"
+    assert ended.status == 0
+    assert len(calls) > 2  # those that came while it ended changed nothing
 
 
 def test_a_job_whose_worker_is_killed_has_died(

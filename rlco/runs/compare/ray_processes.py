@@ -21,6 +21,7 @@ from rlco.runs.compare import processes
 from rlco.runs.compare.processes import Ended
 from rlco.runs.ray_cluster import connect, disconnect, import_ray
 
+_AGAIN = 4.0  # after which an interruption is repeated [s]
 #: A process whose worker or node ended is taken for one that was killed.
 _LOST = Ended(-signal.SIGKILL, 0.0)
 
@@ -74,8 +75,12 @@ class RayProcesses:
     def stop(self, process: Any) -> Ended:
         """Interrupt a process as Ctrl-C does."""
         ray = import_ray()
-        ray.cancel(process)
-        ray.wait([process], timeout=2 * processes.PATIENCE)
+        deadline = time.monotonic() + 2 * processes.PATIENCE
+        ready: list[Any] = []
+        # On a busy node an interruption may be lost; the job hears the first alone.
+        while not ready and time.monotonic() < deadline:
+            ray.cancel(process)
+            ready, _ = ray.wait([process], timeout=_AGAIN)
         with contextlib.suppress(RlcoError):  # it never ran, and that is told already
             return self.poll(process) or _LOST
         return _LOST
@@ -101,5 +106,10 @@ def _run(command: Sequence[str], folder: str, log: str, nice: int) -> tuple[int,
         while (ended := processes.poll(process)) is None:
             time.sleep(0.1)
     except KeyboardInterrupt:  # so a task is cancelled
-        ended = processes.stop(process)
+        # Asked again, it goes on ending the job: an orphan would hold its run folder.
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            ended = processes.stop(process)
+        finally:
+            signal.signal(signal.SIGINT, before)
     return ended.status, ended.cpu_seconds

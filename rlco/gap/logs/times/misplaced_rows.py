@@ -90,6 +90,8 @@ def _wrong(ticks: Array, values: Array, run: slice, noise: Array) -> float:
         )
         for moved in range(-earlier, later + 1)
     }
+    if 0 not in off:  # stamps of another time, between neighbours of this
+        return 0.0
     now = off[0]
     return now if min(off.values()) < _SHARE * now else 0.0
 

@@ -35,6 +35,12 @@ def test_a_row_with_the_measurement_before_does_not_make_its_neighbours_wrong() 
     assert found(ticks, path) == [30]
 
 
+def test_a_row_whose_stamp_is_of_another_time_is_left_as_it_is() -> None:
+    ticks, path = logged(30)
+    ticks[29] = -19.0
+    assert 29 not in found(ticks, path)
+
+
 def test_a_last_row_of_the_tick_after_is_found_though_nothing_follows_it() -> None:
     ticks, path = logged(58)
     assert found(ticks, path) == []
