@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-# -- What the policy sees ------------------------------------------------------
+# -- What the policy observes --------------------------------------------------
 OBSERVATION = "observation"
 #: Robot proprioception, float32 [*B, S], in the units that the task's
 #: ``state_names`` give (metres, radians).
@@ -63,7 +63,7 @@ def is_image(key: object) -> bool:
     return isinstance(key, tuple) and key[: len(IMAGE)] == IMAGE
 
 
-# -- What it does --------------------------------------------------------------
+# -- What it outputs -----------------------------------------------------------
 #: What the environment executes, float32: [*B, A], or [*B, H, A] with chunks.
 ACTION = "action"
 #: The demonstrated (or executed) action chunk, raw units, float32 [*B, H, A].
@@ -83,7 +83,7 @@ FLOW_NOISE = ("vla_action", "flow_noise")
 #: repeat the last action and count in no loss.
 IS_PAD = "action_is_pad"
 
-# -- What came of it -----------------------------------------------------------
+# -- What the environment returns ----------------------------------------------
 #: Sum of the rewards of the executed control steps, float32 [*B, 1].
 REWARD = "reward"
 DONE = "done"
