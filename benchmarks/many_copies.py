@@ -1,4 +1,4 @@
-"""Memory and speed of the native backend as the number of copies grows; leaks.
+"""Memory and speed of the native backend as the number of worlds grows; leaks.
 
 Run ``python benchmarks/many_copies.py [task=push_cube] [seconds=15] [out=FOLDER]`` with
 OMP_NUM_THREADS=1: it prints a markdown table for N from 1 to 256, each N measured in a
@@ -28,7 +28,7 @@ from rlco.physics.tasks.make_task import make_task
 
 NUMBERS = (1, 4, 16, 64, 128, 256)
 CHUNK, HORIZON = 5, 50
-LEAK_COPIES, LEAK_ROW, LEAK_EPISODE = 64, 100_000, 2.5  # [s]
+LEAK_WORLDS, LEAK_ROW, LEAK_EPISODE = 64, 100_000, 2.5  # [s]
 
 
 def resident() -> float:
@@ -39,10 +39,10 @@ def resident() -> float:
 
 
 def measure(task: str, number: int, seconds: float) -> tuple[float, float]:
-    """Return resident memory [MB] and control steps a second of N copies."""
+    """Return resident memory [MB] and control steps a second of N worlds."""
     env = make_env(task, num_envs=number)
-    copies: Any = getattr(env, "stepper", None) or getattr(env, "backend")  # noqa: B009
-    size = copies.worlds.control.action_size
+    stepper: Any = getattr(env, "stepper", None) or getattr(env, "backend")  # noqa: B009
+    size = stepper.worlds.control.action_size
     rng = np.random.default_rng(0)
     took: list[float] = []
     until = np.inf  # until the first chunk is done, which loads what was compiled
@@ -51,7 +51,7 @@ def measure(task: str, number: int, seconds: float) -> tuple[float, float]:
             env.reset()
         actions = rng.uniform(-0.5, 0.5, (number, CHUNK, size))
         began = time.perf_counter()
-        copies.step(actions)
+        stepper.step(actions)
         took.append(time.perf_counter() - began)
         if len(took) == 1:
             until = time.perf_counter() + seconds
@@ -61,7 +61,7 @@ def measure(task: str, number: int, seconds: float) -> tuple[float, float]:
 def grow(task: str, seconds: float, out: str) -> None:
     """Print the table, and draw it."""
     rows = []
-    print(f"| copies of {task} | resident memory [MB] | control steps a second |")
+    print(f"| worlds of {task} | resident memory [MB] | control steps a second |")
     print("|---|---|---|")
     for number in NUMBERS:
         options = f"task={task}", f"one={number}", f"seconds={seconds}"
@@ -78,12 +78,12 @@ def draw(task: str, rows: np.ndarray, folder: Path) -> None:
     """Write the figure."""
     from rlco.reporting.plot_style import caption, new_figure, save_figure
 
-    title = f"Memory and speed with many copies of {task}"
+    title = f"Memory and speed with many worlds of {task}"
     figure, panels = new_figure(title, 2, height=2.9)
     labels = "resident memory [MB]", "control steps a second"
     for axis, column, label in zip(panels, rows.T, labels, strict=True):
         axis.plot(NUMBERS, column, "o-", color="#0072b2", markersize=4)
-        axis.set(xlabel="copies", ylabel=label, xscale="log")
+        axis.set(xlabel="worlds", ylabel=label, xscale="log")
         axis.set_xticks(NUMBERS, [str(number) for number in NUMBERS])
         axis.minorticks_off()
         axis.set_ylim(0, 1.1 * column.max())
@@ -98,7 +98,7 @@ def leak(name: str, steps: int, threads: int | None, frequency: int | None) -> N
         task = replace(task, control_frequency=frequency)
     horizon = round(LEAK_EPISODE * task.control_frequency)
     env = make_env(
-        task, num_envs=LEAK_COPIES, chunk=CHUNK, horizon=horizon, threads=threads
+        task, num_envs=LEAK_WORLDS, chunk=CHUNK, horizon=horizon, threads=threads
     )
     td = env.reset()
     done = printed = 0
@@ -107,7 +107,7 @@ def leak(name: str, steps: int, threads: int | None, frequency: int | None) -> N
     while done < steps:
         td.set("action", env.action_spec.rand())
         _, td = env.step_and_maybe_reset(td)
-        done += LEAK_COPIES * CHUNK
+        done += LEAK_WORLDS * CHUNK
         if done - printed >= LEAK_ROW or done >= steps:
             printed = done
             print(f"| {done} | {resident():.1f} | {env.divergences} |", flush=True)

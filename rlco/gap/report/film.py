@@ -3,7 +3,7 @@
 The measured robot is solid. The two simulated ones are tinted copies of it, which show
 where they are elsewhere; their outlines are on top of all. Differences of a few
 milliradians are less than a pixel, so that they are enlarged where needed, by a factor
-that the picture names.
+that the frame names.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from rlco.reporting.video import mp4
 #: Bytes of a film at most; it is in the report's page.
 LARGEST = 2_000_000
 RATE = 12  # frames per second
-WIDTH, SCENE, TOP, BELOW = 560, 300, 64, 128  # of the picture and its parts [pixels]
+WIDTH, SCENE, TOP, BELOW = 560, 300, 64, 128  # of the frame and its parts [pixels]
 _FINE = 2  # pixels drawn for each shown, along a side
 _ENLARGED = (1, 2, 5, 10, 20, 50)
 _SEEN = 0.08  # share of the robot's size that a difference should move it
@@ -132,7 +132,7 @@ def _enlargement(scene: FilmScene, measured: Array, nominal: Array) -> int:
 
 
 class _Panel:
-    """The picture around the robot: a legend above, the joint's track below."""
+    """The frame around the robot: a legend above, the joint's track below."""
 
     def __init__(self, shown: Filmed, tracks: Sequence[Array], factor: int) -> None:
         self._shown, self._factor = shown, factor
@@ -165,7 +165,7 @@ class _Panel:
             "as large as they are."
         )
         joint = shown.joints[shown.shown]
-        return f"{words} Below, what is left at joint {joint}, not enlarged."
+        return f"{words} Below, the residual at joint {joint}, not enlarged."
 
     def picture(
         self, moment: float, measured: Pose, ghosts: Sequence[Pose]
@@ -277,7 +277,7 @@ def _overlaid(
 
 
 def _around(seen: NDArray[np.bool_]) -> slice:
-    """Return the range of what is seen, in whole pixels of the picture."""
+    """Return the range of what is seen, in whole pixels of the frame."""
     places = np.flatnonzero(seen)
     if not places.size:
         return slice(0, 0)

@@ -134,7 +134,7 @@ def _topics(path: Path) -> dict[str, _Topic]:
     Raises:
         DataError: The bag cannot be read, or has no joint states.
     """
-    advice = "give a whole bag, 'ros2 bag reindex' may mend one that was cut off"
+    advice = "give a whole bag, 'ros2 bag reindex' may repair one that was cut off"
     what = "rosbag2 of MCAP or SQLite"
     bag_sizes.bound_chunks()
     if path.is_dir():
