@@ -11,7 +11,7 @@ is there. Cases come in an order in which any first part holds all groups, so th
 minutes give a small sample of everything.
 
 Beside it, on as many cases as are asked for: the plain greedy search that a user can
-write in an afternoon, and mujoco.sysid, told the right effects and with the usual list
+write in an afternoon, and mujoco.sysid, given the right effects and with the usual list
 (`gap_sysid`).
 
 `extra` takes folders of further cases in the same form, made elsewhere.

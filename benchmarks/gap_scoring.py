@@ -373,7 +373,7 @@ def _sysid(rows: Sequence[Answered]) -> str:
         f"{_middle(usual, '{:.1f}')} | 3 |",
         "| seconds of ours, that finds out what is missing, median | "
         f"{_middle([ours for ours, _, _ in times], '{:.0f}')} | |",
-        "| seconds of mujoco.sysid's, told what is missing | "
+        "| seconds of mujoco.sysid's, given what is missing | "
         f"{_middle([told for _, told, _ in times], '{:.0f}')} | |",
         "| seconds of mujoco.sysid's with the usual five | "
         f"{_middle([usual for _, _, usual in times if usual], '{:.0f}')} | |",

@@ -1,6 +1,6 @@
-"""mujoco.sysid on the same cases: told the right effects, and with the usual list.
+"""mujoco.sysid on the same cases: given the right effects, and with the usual list.
 
-- `oracle`: its optimiser, told which effects act and where, finds their numbers from
+- `oracle`: its optimiser, given which effects act and where, finds their numbers from
   half the truth. Times of whole steps, which leave it no slope, are told.
 - `pace`: its own pipeline with what most people fit (as PACE does: armature, damping,
   friction and encoder bias of every joint, one delay).
