@@ -143,7 +143,8 @@ def main(config: Config) -> None:
     images, positions = collect(policy, config.training_episodes, config.seed)
     log.info("%d images", len(images))
     eyes = learn(images, positions, config.epochs)
-    print("| the policy observes | success [Wilson 95 %] | median error, 95 % below [mm] |")
+    columns = "the policy observes", "success [Wilson 95 %]"
+    print("|", " | ".join((*columns, "median error, 95 % below [mm]")), "|")
     print("|---|---|---|")
     for quality in (None, "fast", "robosuite"):
         options = {"image_size": SIZE, "image_quality": quality} if quality else {}
