@@ -121,7 +121,7 @@ class Config(LearnersOptions, TrainingDomainOptions):
     critic_iterations: int = option(
         1, "gae: first rollouts that train the critic alone", minimum=0
     )
-    clip: float = option(0.2, "PPO's clip of the ratio", minimum=0)
+    clip: float = option(0.2, "PPO's clip of the ratio", minimum=0, maximum=1)
     advantage: Literal["gae", "mc"] = option(
         "gae", "by a critic, or by returns within groups that start alike"
     )

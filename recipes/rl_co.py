@@ -96,10 +96,13 @@ def train(
         make_learner,
         make_ppo,
         rollout_rows,
+        warn_of_trained_on,
     )
 
     critic = make_critic(config, policy)
     real = demos.real if config.real_coeff > 0 else None
+    if ranks.leads:
+        warn_of_trained_on(real, demos.heldout)
     # Several ranks need the networks inside the loss, which find them there.
     functional = ranks.alone
     loss = CoTrainingLoss(

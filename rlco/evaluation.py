@@ -226,6 +226,8 @@ def success_rates(
 ) -> dict[str, float]:
     """Return ``success_<domain>`` of a policy in each domain's environment.
 
+    Training goes on as if nothing had been measured, whatever the policy draws.
+
     Args:
         policy: See `evaluate`.
         envs: The environment of each domain, by the domain's name.
@@ -234,7 +236,8 @@ def success_rates(
     """
     rates = {}
     for domain, env in envs.items():
-        result = evaluate(policy, env, episodes)
+        with torch.random.fork_rng():
+            result = evaluate(policy, env, episodes)
         rates[f"success_{domain}"] = result.rate
         if iteration is not None:
             log.info(

@@ -16,7 +16,10 @@ from rlco.evaluation import (
     Evaluation,
     evaluate,
     evaluation_env,
+    success_rates,
 )
+from rlco.physics.tasks.make_task import make_task
+from rlco.policies import FlowPolicy, task_sizes
 
 pytestmark = pytest.mark.slow
 
@@ -160,3 +163,13 @@ def test_a_row_and_a_line_of_an_evaluation() -> None:
     none = Evaluation(nothing, np.full(4, np.nan), nothing)
     line = "0.0% [0.0%, 49.0%] of 4 episodes; ever 0.0%, lost again 0.0%"
     assert str(none) == line
+
+
+def test_an_evaluation_on_the_way_leaves_the_random_numbers_as_they_were() -> None:
+    # FPO draws where it compares losses, whatever it does.
+    sizes = task_sizes(make_task("push_cube"))
+    policy = FlowPolicy(chunk=4, hidden=(8,), method="fpo", **sizes)
+    env = make_env("push_cube", num_envs=1, chunk=4, horizon=4)
+    before = torch.get_rng_state()
+    success_rates(policy, {"sim": env}, 1)
+    assert torch.equal(torch.get_rng_state(), before)

@@ -21,6 +21,8 @@ def normalize(
 ) -> torch.Tensor:
     """Give a rollout's advantages mean 0 and deviation 1; broken decisions get 0.
 
+    So does one that is alone: it is as good as expected, and has no deviation.
+
     Args:
         advantage: (N, T, 1).
         broken: where the simulation diverged, bool, (N, T, 1).
@@ -29,7 +31,9 @@ def normalize(
     """
     ranks = Ranks() if ranks is None else ranks
     sound = ranks.joined(advantage)[~ranks.joined(broken)]
-    scaled = (advantage - sound.mean()) / (sound.std() + 1e-5)
+    # Fewer than two have none, which would be NaN.
+    deviation = sound.std() if sound.numel() > 1 else torch.zeros_like(sound.sum())
+    scaled = (advantage - sound.mean()) / (deviation + 1e-5)
     normalized: torch.Tensor = scaled.masked_fill(broken, 0.0)
     return normalized
 

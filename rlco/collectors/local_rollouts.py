@@ -63,7 +63,7 @@ class LocalRollouts:
     def play(self, iteration: int) -> TensorDictBase:
         """Return the rollout of one iteration, (N, T)."""
         self._env.start_at(iteration * self._parts + self._part)
-        self._finite.iteration = iteration
+        self._finite.begin(iteration)
         watched = impatient(lambda: self._finite.decision, f"rollout {iteration}")
         with watched, set_exploration_type(ExplorationType.RANDOM):
             rollout: TensorDictBase = next(self._batches)

@@ -183,7 +183,7 @@ class WorkerCollector(Collector):
     def begin(self, iteration: int, episode: int, seed: int) -> None:
         """Let the next batch be of these episodes, and its actions of this seed."""
         finite: Any = self.env.transform[-1]
-        finite.iteration = iteration
+        finite.begin(iteration)
         self.env.base_env.start_at(episode)
         seed_everything(seed)
 

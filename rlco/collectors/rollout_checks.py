@@ -42,11 +42,17 @@ class FiniteRollout(Transform):
         self.decision = 0
         self.iteration = 0
 
+    def begin(self, iteration: int) -> None:
+        """Count the decisions of another rollout, within which episodes may restart."""
+        self.iteration, self.decision = iteration, 0
+
     def _reset(
         self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
     ) -> TensorDictBase:
-        self.decision = 0
-        self._check(tensordict_reset, self._seen, "as it starts")
+        when = f"after a reset by decision {self.decision}"
+        self._check(
+            tensordict_reset, self._seen, when if self.decision else "as it starts"
+        )
         return tensordict_reset
 
     def _step(

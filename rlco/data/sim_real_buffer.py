@@ -277,6 +277,20 @@ class SimRealReplayBuffer:
         self._share_generator()
 
 
+def batch_problems(sim_ratio: float, batch_size: int) -> list[str]:
+    """Return what is wrong with a batch size for a share of sim rows within [0, 1].
+
+    Example:
+        >>> batch_problems(0.5, 2)
+        []
+        >>> batch_problems(0.9, 2)
+        ['batch_size=2 is too small for sim_ratio=0.9: at least 10 rows are needed for \
+one of each kind']
+    """
+    split = RowSplit(sim_ratio)
+    return [_too_small(split, batch_size)] if batch_size < split.least_batch else []
+
+
 def _problems(
     sim: ReplayBuffer | None,
     real: ReplayBuffer | None,
@@ -290,9 +304,7 @@ def _problems(
         problems.append(f"sim_ratio={sim_ratio} needs sim, which is None")
     if real is None and sim_ratio < 1:
         problems.append(f"sim_ratio={sim_ratio} needs real, which is None")
-    split = RowSplit(sim_ratio)
-    if batch_size < split.least_batch:
-        problems.append(_too_small(split, batch_size))
+    problems += batch_problems(sim_ratio, batch_size)
     if sim is not None and sim.storage.ndim != 1:
         problems.append(
             f"sim stores rows of {sim.storage.ndim} dimensions; use a storage with "

@@ -60,7 +60,8 @@ def from_gymnasium(
 
     Raises:
         RlcoError: If the environment does not say when it is solved, if its
-            observations have no place in rlco's keys, or as `canonical` does.
+            observations have no place in rlco's keys, if there are options without an
+            id, or as `canonical` does.
 
     Example:
         >>> import rlco.envs
@@ -68,6 +69,12 @@ def from_gymnasium(
         >>> env.rollout(3)["observation", "environment_state"].shape
         torch.Size([2, 3, 12])
     """
+    if options and not isinstance(env, str):
+        raise RlcoError(
+            f"{', '.join(options)}= would go to gymnasium.make, which is not called "
+            "for a function that builds the environment; give it there, or correct "
+            "its name."
+        )
 
     def build() -> gymnasium.Env[Any, Any]:
         made: gymnasium.Env[Any, Any]

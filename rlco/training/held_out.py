@@ -8,7 +8,7 @@ import torch
 from tensordict import TensorDictBase
 
 from rlco import keys
-from rlco.training.imitation_errors import imitation_error, likely_chunks
+from rlco.training.imitation_errors import fixed_imitation_error, likely_chunks
 
 
 class Demonstrated(Protocol):
@@ -37,13 +37,15 @@ class HeldOut:
     def measure(self, policy: Any) -> dict[str, float]:
         """Return ``imitation_error_heldout`` and ``drift_heldout``, if there are any.
 
-        The first is `imitation_error`. The second is the root mean square of how far
-        the most likely actions have moved: 1 is half of the range that the policy's
-        normalisation maps to [-1, 1]. Steps beyond an episode's end are left out.
+        The first is `imitation_error`, by the same random numbers at each call, as all
+        else here: training goes on as if nothing had been measured. The second is the
+        root mean square of how far the most likely actions have moved: 1 is half of
+        the range that the policy's normalisation maps to [-1, 1]. Steps beyond an
+        episode's end are left out.
         """
         if self._demos is None or self._before is None:
             return {}
-        error = imitation_error(policy, self._demos.frames())
+        error = fixed_imitation_error(policy, self._demos.frames())
         moved = _likely(policy, self._demos) - self._before
         real = ~self._demos.frames()[keys.IS_PAD]
         drift = float(moved[real].pow(2).mean().sqrt())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any, Protocol
@@ -15,6 +16,8 @@ if TYPE_CHECKING:
     from rlco.training.kept_policy import BestPolicy
     from rlco.training.learner import Learner
     from rlco.training.run_protocols import Collector, TrainingRun
+
+log = logging.getLogger("rlco.training")
 
 Row = dict[str, Any]
 #: What a rollout is judged by.
@@ -75,6 +78,13 @@ def co_train(
         if best is not None:
             best.load(saved["best"])
     alone = options.critic_iterations if learner.critic is not None else 0
+    if alone >= options.iterations and ranks.leads:
+        log.warning(
+            "the critic alone is trained in the first %d rollouts (critic_iterations), "
+            "and there are %d (iterations): the policy stays as it was given",
+            alone,
+            options.iterations,
+        )
     for iteration in run.iterations(options.iterations):
         started = time.perf_counter()
         learner.draw_own(iteration)

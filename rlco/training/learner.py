@@ -163,7 +163,7 @@ class Learner:
                 self._step(out, train_policy=train_policy)
                 minibatches += 1
                 for name, value in out.items():
-                    sums[name] = sums.get(name, 0.0) + float(value.detach())
+                    sums[name] = sums.get(name, 0.0) + _number(value)
                 if limit is not None:
                     divergences.append(float(out["kl_approx"].detach()))
             row["epochs"] = epoch
@@ -212,7 +212,10 @@ class Learner:
     def _add_again(self, flat: TensorDictBase) -> Tensor:
         """Put an earlier rollout's decisions into the buffer; return their weights."""
         now = log_probs(self.policy, flat, rows=self.minibatch)
-        weight: Tensor = (now - flat[keys.LOG_PROB]).exp().clamp(max=1.0)
+        change = now - flat[keys.LOG_PROB]
+        # Of the decision, whatever part of it one log-probability covers.
+        whole = change.reshape(len(change), -1).sum(-1)
+        weight: Tensor = whole.exp().clamp(max=1.0)
         advantage = flat[keys.ADVANTAGE] * weight.unsqueeze(-1)
         again = flat.copy().update({keys.LOG_PROB: now, keys.ADVANTAGE: advantage})
         self.buffer.extend(again)
@@ -309,3 +312,13 @@ class Learner:
         names = ("policy", "critic", "actor_optimizer", "critic_optimizer")
         found = {name: getattr(self, name) for name in names}
         return {name: part for name, part in found.items() if part is not None}
+
+
+def _number(value: Tensor) -> float:
+    """Return what a loss reports as one number.
+
+    TorchRL's effective sample size is one for each part of a decision that has a ratio
+    of its own.
+    """
+    value = value.detach()
+    return float(value if value.numel() == 1 else value.mean())

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from rlco.errors import ConfigError
+from rlco.errors import ConfigError, DataError
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -89,6 +89,27 @@ def check_pretraining(options: StageOneOptions) -> None:
         )
     if problems:
         raise ConfigError(problems)
+
+
+def check_positions(options: StageOneOptions, task: Any) -> None:
+    """Check that simulated rows say where things are, if that is to be learned.
+
+    Raises:
+        DataError: They do not.
+    """
+    from rlco.lerobot_files import read_folder
+
+    name, folder = "observation.environment_state", options.sim_demos
+    if not options.position_coeff or folder is None:
+        return
+    if task.environment_state_names and name in read_folder(folder).features:
+        return
+    raise DataError(
+        f"position_coeff={options.position_coeff} learns where things are from "
+        f"{name!r} of sim_demos={folder!r}, which is not in it (with task=null: not in "
+        "all data sets); give data that hold it, as record_demos writes them, or "
+        "position_coeff=0."
+    )
 
 
 def tool_positions(task: Any, rows: TensorDictBase) -> Tensor:

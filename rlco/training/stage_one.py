@@ -97,11 +97,14 @@ def check_stage_one(
     options: StageOneOptions, task: AnyTask | None = None
 ) -> ChunkPolicy:
     """Check what the options say of each other; return a policy that they describe."""
+    from rlco.data.sim_real_buffer import batch_problems
     from rlco.training.pretraining import check_pretraining
 
     policy_options.check_image_options(options)
     check_pretraining(options)
     check_domain_flag(options, options.alpha)
+    if problems := batch_problems(options.alpha, options.batch_size):
+        raise ConfigError(problems)
     policy = new_policy(options, task)
     if options.evaluated and options.eval_domains and options.task is not None:
         policy_options.check_rendered(policy, options.task)
@@ -116,6 +119,7 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
         DataError: A data set that does not fit the task.
     """
     from rlco.data import load_task_demos
+    from rlco.training.pretraining import check_positions
 
     needed = _needs(options)
     task = None if options.task is None else task_of(options)
@@ -134,6 +138,7 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
     task = task or task_of(options)
     image_size = check_stage_one(options, task).image_size
     poses = options.use_environment_state and bool(task.environment_state_names)
+    labelled = options.position_coeff > 0
 
     # Before the first of them is read.
     episodes = {
@@ -141,6 +146,7 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
         for name, option in _EPISODES.items()
     }
 
+    check_positions(options, task)
     cameras = camera_list(options.camera)
 
     def load(name: str, rename: str, camera: str | None) -> DemoReplayBuffer | None:
@@ -155,7 +161,7 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
             image_size=image_size,
             camera=camera,
             cameras=cameras,
-            environment_state=poses,
+            environment_state=poses or (name == "sim_demos" and labelled),
         )
 
     # A set that was not recorded by rlco has a camera of another name, or one alone.

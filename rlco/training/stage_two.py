@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rlco import keys
 from rlco.errors import ConfigError
-from rlco.runs.indices import index_list
+from rlco.runs.indices import format_indices, index_list
 from rlco.training.options.domain_flag_options import refuse_domain_flag
 from rlco.training.options.policy_options import (
     augment,
@@ -70,6 +70,11 @@ def check_stage_two(options: StageTwoOptions) -> None:
         problems.append(
             f"forget_limit={options.forget_limit} adapts the weight of the anchor, but "
             "real_coeff=0 leaves none; give where it begins, such as real_coeff=0.05"
+        )
+    if options.heldout_episodes and options.heldout_demos is None:
+        problems.append(
+            f"heldout_episodes={options.heldout_episodes} needs heldout_demos=FOLDER, "
+            "which may be that of real_demos"
         )
     if problems:
         raise ConfigError(problems)
@@ -171,6 +176,29 @@ def warn_of_cut_off(horizon: int, demos: DemoReplayBuffer) -> None:
             demos.meta.path,
             horizon,
             max(lengths),
+        )
+
+
+def warn_of_trained_on(
+    real: DemoReplayBuffer | None, heldout: DemoReplayBuffer | None
+) -> None:
+    """Warn where episodes that are to be held out are the anchor's.
+
+    Args:
+        real: Demonstrations of the anchor; None without one.
+        heldout: Those that forgetting is measured on, if it is.
+    """
+    if real is None or heldout is None:
+        return
+    if real.meta.path.resolve() != heldout.meta.path.resolve():
+        return
+    if both := set(real.meta.episodes) & set(heldout.meta.episodes):
+        log.warning(
+            "the anchor is trained on episodes %s of %s, on which forgetting is "
+            "measured: its columns _heldout look better than they are; part them by "
+            "episodes= and heldout_episodes=",
+            format_indices(both),
+            heldout.meta.path,
         )
 
 

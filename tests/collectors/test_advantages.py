@@ -10,10 +10,11 @@ from tensordict import TensorDict, TensorDictBase
 
 from rlco import keys
 from rlco.collectors import RolloutCollector, check_signal, group_advantages
+from rlco.collectors.advantages import normalize
 from rlco.envs import make_env
 from rlco.errors import ConfigError, NoSignalError, RlcoError
 from rlco.physics.tasks.make_task import make_task
-from rlco.policies import GaussianPolicy, task_sizes
+from rlco.policies import GaussianPolicy, ValueNetwork, task_sizes
 
 
 def episodes(rewards: list[list[float]], **flags: Any) -> TensorDictBase:
@@ -110,3 +111,21 @@ def test_one_episode_that_differs_is_enough() -> None:
     rollout = episodes([[0.0, 0.0], [0.0, 1.0]])
     rollout[keys.ADVANTAGE] = group_advantages(rollout, 2)
     check_signal(rollout)
+
+
+def test_one_decision_alone_is_no_signal_and_no_nan() -> None:
+    torch.manual_seed(0)
+    env = make_env("push_cube", num_envs=1, chunk=4, horizon=4, seed=5)
+    sizes = task_sizes(make_task("push_cube"))
+    policy, critic = GaussianPolicy(chunk=4, **sizes), ValueNetwork(**sizes)
+    rollout = RolloutCollector(env, policy, critic).collect(0)
+    assert rollout[keys.ADVANTAGE].tolist() == [[[0.0]]]
+    with pytest.raises(NoSignalError):
+        check_signal(rollout)
+
+
+@pytest.mark.filterwarnings("error")
+@pytest.mark.parametrize("sound", [0, 1])
+def test_where_hardly_a_decision_is_sound_advantages_are_zero(sound: int) -> None:
+    broken = torch.arange(6).view(2, 3, 1) >= sound
+    assert not normalize(torch.randn(2, 3, 1), broken).any()

@@ -262,6 +262,25 @@ def test_what_an_environment_gives_is_checked_as_it_is_played(
     collector.close()
 
 
+class Diverging(TabletopEnv):
+    """An environment that diverges after decision 0, beside one whose reward is NaN."""
+
+    def _advance(self, actions: Any, steps: Any) -> Any:
+        reward, diverged = super()._advance(actions, steps)
+        diverged[0] |= self._elapsed[1] == 0
+        if self._elapsed[1] == 8:
+            reward[1] = float("nan")
+        return reward, diverged
+
+
+def test_decisions_are_counted_from_the_rollouts_start_whatever_diverges() -> None:
+    collector, env, _ = make_collector()
+    env.__class__ = Diverging
+    with pytest.raises(NonFiniteError, match="environment 1, after decision 2 of"):
+        collector.collect(0)
+    collector.close()
+
+
 class Pay(Transform):
     """Makes the first environment's reward the same in every decision."""
 

@@ -355,3 +355,8 @@ def test_a_dictionary_without_agent_pos_needs_state() -> None:
     env = from_gymnasium(make, state=["b", "a"])
     # In the order that was given.
     assert env.reset()[keys.STATE].tolist() == [[5.0, 0.0]]
+
+
+def test_an_option_that_would_be_lost_is_refused() -> None:
+    with pytest.raises(RlcoError, match="num_env= would go to "):
+        from_gymnasium(Counter, num_env=8)

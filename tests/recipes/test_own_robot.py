@@ -88,6 +88,30 @@ def test_what_such_a_robot_cannot_have(
     assert not out.exists()
 
 
+def test_a_batch_that_cannot_hold_both_kinds_is_refused_first(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    data = write_arm(tmp_path / "arm")
+    rest = [o for o in OWN if not o.startswith("batch_size=")]
+    both = [f"sim_demos={data}", f"real_demos={data}", "sim_ratio=0.9", "batch_size=8"]
+    line = refused(capsys, "sft", *rest, *both, f"out={tmp_path / 'run'}")
+    assert "batch_size=8 is too small for sim_ratio=0.9: at least 10 rows" in line
+    assert not (tmp_path / "run").exists()
+
+
+def test_positions_are_learned_from_data_that_have_some(
+    tmp_path: Path, capsys: Capture
+) -> None:
+    data = write_arm(tmp_path / "arm", poses=False, camera="front")
+    options = ["image=dense", "position_coeff=0.5", "use_environment_state=false"]
+    both = [f"sim_demos={data}", f"real_demos={data}", "sim_ratio=0.5"]
+    given = [*OWN, *options, *both, f"out={tmp_path / 'run'}"]
+    line = refused(capsys, "sft", *given)
+    assert "'observation.environment_state'" in line
+    assert "position_coeff" in line
+    assert not (tmp_path / "run").exists()
+
+
 @pytest.mark.parametrize("inner", ["data", "data/chunk-000", "meta", "above"])
 def test_a_folder_inside_or_above_names_the_data_set(
     tmp_path: Path, capsys: Capture, inner: str

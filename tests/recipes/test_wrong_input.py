@@ -33,6 +33,7 @@ Capture = pytest.CaptureFixture[str]
         ("sft", "sim_ratio=2", ["sim_ratio", "1"]),
         ("sft", "lr=-1", ["lr", "below the least"]),
         ("sft", "lr=inf", ["lr", "not a finite number"]),
+        ("rl_co", "clip=1.5", ["clip", "above the greatest"]),
         ("rl_co", "clip=inf", ["clip", "not a finite number"]),
         ("rl_co", "max_grad_norm=-1", ["max_grad_norm", "below the least"]),
         ("sft", f"seed={2**70}", ["seed", "4294967295"]),

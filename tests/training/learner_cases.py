@@ -20,11 +20,16 @@ def make_learner(
     critic: bool = True,
     anchored: bool = True,
     functional: bool = True,
+    policy: Any = None,
     **options: Any,
 ) -> Learner:
-    """Return a learner of minibatches of 8 decisions and, anchored, 4 real rows."""
+    """Return a learner of minibatches of 8 decisions and, anchored, 4 real rows.
+
+    Its policy is a Gaussian where none of the same sizes is given.
+    """
     torch.manual_seed(0)
-    policy, value = make_networks()
+    gaussian, value = make_networks()
+    policy = gaussian if policy is None else policy
     real = ReplayBuffer(storage=LazyTensorStorage(10))
     real.extend(demonstrations(10))
     ppo = ClipPPOLoss(

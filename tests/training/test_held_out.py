@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+import logging
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
 import pytest
 import torch
 from tensordict import TensorDict
 
 from rlco import keys
-from rlco.policies import GaussianPolicy
+from rlco.errors import ConfigError
+from rlco.policies import FlowPolicy, GaussianPolicy
 from rlco.training.held_out import HeldOut
 from rlco.training.imitation_errors import likely_chunks
+from rlco.training.options.stage_two_options import StageTwoOptions
+from rlco.training.stage_two import check_stage_two, warn_of_trained_on
 
 
 class Frames:
@@ -57,3 +65,37 @@ def test_asking_for_likely_chunks_leaves_the_random_numbers_as_they_were() -> No
     assert torch.equal(torch.get_rng_state(), before)
     torch.manual_seed(1)
     assert torch.equal(likely_chunks(Drawing(), frames), first)
+
+
+def test_measuring_what_is_held_out_leaves_the_random_numbers_as_they_were() -> None:
+    policy = FlowPolicy(3, chunk=2, action_size=1, hidden=(4,))  # its loss draws noise
+    before = torch.get_rng_state()
+    held_out = HeldOut(policy, Frames())
+    first = held_out.measure(policy)
+    assert torch.equal(torch.get_rng_state(), before)
+    torch.manual_seed(1)
+    assert held_out.measure(policy) == first
+
+
+def demonstrations(path: Path, *episodes: int) -> Any:
+    return SimpleNamespace(meta=SimpleNamespace(path=path, episodes=episodes))
+
+
+def test_held_out_episodes_that_the_anchor_is_trained_on_are_told(
+    tmp_path: Path,
+    caplog: pytest.LogCaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(logging.getLogger("rlco"), "propagate", True)
+    heldout = demonstrations(tmp_path, 2, 3)
+    for real in (None, demonstrations(tmp_path, 0, 1), demonstrations(Path(), 2)):
+        warn_of_trained_on(real, heldout)
+    assert not caplog.records
+    warn_of_trained_on(demonstrations(tmp_path / ".", 0, 1, 2), heldout)
+    assert f"trained on episodes 2 of {tmp_path}" in caplog.text
+
+
+def test_held_out_episodes_of_nothing_are_refused() -> None:
+    options = StageTwoOptions(policy="p", real_coeff=0.0, heldout_episodes="2-3")
+    with pytest.raises(ConfigError, match="heldout_episodes=2-3 needs heldout_demos="):
+        check_stage_two(options)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -140,6 +141,17 @@ def test_without_a_critic_the_policy_learns_from_the_first_rollout() -> None:
     assert [e for e in diary.happened if e[0] == "updated"] == [
         ("updated", 3, True)
     ] * 2
+
+
+def test_a_run_in_which_the_policy_never_learns_says_so(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(logging.getLogger("rlco"), "propagate", True)
+    for critic, alone in (("critic", 1), (None, 2)):
+        loop(Diary(critic=critic), critic_iterations=alone)
+    assert not caplog.records
+    loop(Diary(), critic_iterations=2)
+    assert "the policy stays as it was given" in caplog.text
 
 
 def test_a_resumed_run_goes_on_after_its_checkpoint() -> None:

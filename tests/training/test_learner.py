@@ -10,6 +10,7 @@ import torch
 from learner_cases import make_learner, rollout
 
 from rlco.errors import NonFiniteError
+from rlco.policies import FlowPolicy
 from rlco.training import Learner
 
 LOG_PROB = ("vla_action", "log_probs")
@@ -116,6 +117,30 @@ def test_what_is_learned_from_again_is_weighted_by_how_likely_it_is_now() -> Non
     assert len(learner.buffer.sim) == 32
     kept = learner.state()["earlier"]
     assert [len(one["advantage"]) for one in kept] == [16]
+
+
+@pytest.mark.parametrize("level", ["action", "token"])
+def test_parts_of_a_decision_with_ratios_of_their_own_are_trained(level: Any) -> None:
+    torch.manual_seed(1)
+    sizes = {"chunk": 2, "action_size": 2, "num_instructions": 2}
+    policy = FlowPolicy(3, hidden=(8,), log_prob_level=level, **sizes)
+    learner = make_learner(policy=policy, reuse=1)
+    first, second = rollout(learner), rollout(learner)
+    told = learner.update(first, epochs=1)
+    assert told["first_ratio"] == pytest.approx(1.0, abs=1e-5)
+    assert 0 < told["ESS"] <= 1.0 + 1e-6  # one number, of all parts
+    with torch.no_grad():
+        now = policy.get_dist(first).log_prob(first["vla_action", "sample"])
+    # What is learned from again has one weight a decision: all its parts' together.
+    change = (now - first[LOG_PROB]).flatten(2).sum(-1)
+    weight = change.exp().clamp(max=1.0).flatten()
+    assert 0.01 < weight.min() < 0.99
+    row = learner.update(second, epochs=1)
+    assert row["reuse_weight"] == pytest.approx(float(weight.mean()), abs=1e-4)
+    torch.testing.assert_close(
+        learner.buffer.sim[16:32]["advantage"].flatten(),
+        first["advantage"].flatten() * weight,
+    )
 
 
 def test_without_critic_and_anchor_the_policy_alone_is_trained() -> None:

@@ -99,7 +99,7 @@ class StageTwoOptions(LaunchOptions, AugmentOptions, TrainingDomainOptions):
         maximum=1,
         earlier=1.0,
     )
-    clip: float = option(0.2, "PPO's clip of the ratio", minimum=0)
+    clip: float = option(0.2, "PPO's clip of the ratio", minimum=0, maximum=1)
     advantage: Literal["gae", "mc"] = option(
         "gae", "by a critic, or by returns within groups that start alike"
     )
