@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from rlco.errors import ConfigError
+from rlco.errors import ConfigError, RlcoError
 from rlco.reporting.comparison import (
     comparison_table,
     cost_table,
@@ -91,14 +91,20 @@ def main(config: Config) -> None:
     store.check()
     processes = processes_of(config)
     lock = run_folder.lock(out)
+    failed: set[Job] = set()
     try:
         queue = Queue(plan, store, config.jobs, config.hours, config.nice, processes)
-        queue.run()
+        failed = queue.run()
     finally:
         processes.close()
         # What there is when it is interrupted makes a table, too.
         save(experiment, jobs, store, out)
         os.close(lock)
+    if failed:  # so that scripts around this one hear of it
+        raise RlcoError(
+            f"{len(failed)} of {len(plan.every)} jobs failed; all others are in the "
+            "table, and the same command tries these again."
+        )
 
 
 def check_launch(config: Config) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 from tensordict import TensorDictBase
 
+from rlco.errors import DataError
 from rlco.losses.co_training import CoTrainingLoss
 from rlco.training.alignment import explained
 
@@ -34,6 +35,9 @@ class AnchorWeight:
         policy: The policy as it is before RL.
         frames: The anchor's demonstrations, every frame.
 
+    Raises:
+        DataError: Demonstrations in which nothing moves: there is no variance to forget.
+
     Example:
         >>> import torch
         >>> from tensordict import TensorDict
@@ -58,7 +62,14 @@ class AnchorWeight:
 
     def __post_init__(self) -> None:
         self.frames = self.frames[:: -(-len(self.frames) // FRAMES)]
-        self._before = self._explained()
+        found = explained(self.policy, self.frames)
+        if not found.total.any():
+            raise DataError(
+                f"forget_limit={self.limit} limits the share of the demonstrated actions' "
+                "variance that is forgotten, but all actions of the anchor's "
+                "demonstrations are the same; give others, or forget_limit=null."
+            )
+        self._before = found.share
 
     def adapt(self, loss: CoTrainingLoss) -> dict[str, float]:
         """Set a loss's ``real_coeff`` by what the policy has forgotten.

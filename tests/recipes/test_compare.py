@@ -131,6 +131,14 @@ class Grid:
         start("compare", *self.arguments(*more))
         return self.ran()[before:]
 
+    def run_and_fail(self, *more: str) -> list[str]:
+        """Run it with jobs that fail, which its exit status says; return who ran."""
+        before = len(self.ran())
+        with pytest.raises(SystemExit) as ended:
+            start("compare", *self.arguments(*more))
+        assert ended.value.code == 2
+        return self.ran()[before:]
+
     def ran(self) -> list[str]:
         return self.noted.read_text().splitlines() if self.noted.exists() else []
 
@@ -333,7 +341,7 @@ def test_failed_and_missing_cells_stay_in_the_table_and_logs_are_kept(
     grid.content["jobs"]["first"]["options"]["fail"] = "{fail}"
     grid.content["table"]["by"] = ["fail"]
     grid.content["over"]["fail"] = ["false", "true"]
-    grid.run()
+    grid.run_and_fail()
     good, bad = grid.table.split("## fail true")
     assert "| first | 20% [0%, 45%] | 10% | 3 |" in good
     # Nothing is known of the domain where no run has finished.
@@ -342,9 +350,14 @@ def test_failed_and_missing_cells_stay_in_the_table_and_logs_are_kept(
     assert "| beta 4 - first | missing | 0 |" in bad
     (log,) = (grid.folder / "out").glob("jobs/first_seed1_failtrue-*/log.txt")
     assert "no luck" in log.read_text()
-    assert f"its log is {log}" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert f"its log is {log}" in said
+    assert said.endswith(
+        "error: 3 of 18 jobs failed; all others are in the table, and the same command "
+        "tries these again.\n"
+    )
     # The next call tries again, and keeps what it said before.
-    assert grid.run("jobs=1") == ["first 1", "first 2", "first 3"]
+    assert grid.run_and_fail("jobs=1") == ["first 1", "first 2", "first 3"]
     assert log.read_text().count("no luck") == 2
 
 
@@ -360,7 +373,7 @@ if given["who"] == "first 2" or (given["who"] == "first 1" and "resume" not in g
     (grid.folder / "job.py").write_text(script)
     del grid.content["jobs"]["second"], grid.content["table"]["methods"]["beta {beta}"]
     del grid.content["table"]["differences"], grid.content["over"]["beta"]
-    assert grid.run("jobs=1") == [
+    assert grid.run_and_fail("jobs=1") == [
         *("first 1", "again first 1"),
         *("first 2", "again first 2"),
         "first 3",
@@ -377,7 +390,7 @@ def test_a_job_without_results_has_failed(
     grid: Grid, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (grid.folder / "job.py").write_text(SCRIPT.replace('{"rows": rows}', "{}"))
-    grid.run()
+    grid.run_and_fail()
     assert "results.json' lacks 'rows'" in capsys.readouterr().err
     assert "| first | missing | - | 0 of 3: 3 failed |" in grid.table
 
@@ -409,7 +422,7 @@ def test_code_that_changes_while_a_job_runs_is_no_result_of_it(
 ) -> None:
     script = SCRIPT + "Path(beside.__file__).write_text('MORE = 3')\n"
     (grid.folder / "job.py").write_text(script)
-    grid.run("jobs=1")
+    grid.run_and_fail("jobs=1")
     assert "its code was changed while it ran" in capsys.readouterr().err
     assert "| first | missing | - | 0 of 3: 3 failed |" in grid.table
 

@@ -10,6 +10,7 @@ from learner_cases import make_learner, rollout
 from loss_cases import demonstrations
 from tensordict import TensorDictBase
 
+from rlco.errors import DataError
 from rlco.training import Learner
 from rlco.training.anchor_weight import LEAST, MOST, AnchorWeight
 
@@ -92,3 +93,10 @@ def test_a_resumed_learner_goes_on_with_the_weight_it_had() -> None:
     other.load(state)
     assert other.update(second, epochs=1) == expected
     assert float(other.loss.real_coeff) == float(learner.loss.real_coeff)
+
+
+def test_demonstrations_in_which_nothing_moves_are_refused_not_nan() -> None:
+    still = demonstrated()
+    still["vla_action", "chunk"] = torch.full_like(still["vla_action", "chunk"], 0.5)
+    with pytest.raises(DataError, match=r"forget_limit=0\.05 .* are the same"):
+        AnchorWeight(0.05, make_learner().policy, still)
