@@ -36,7 +36,7 @@ class AnchorWeight:
         frames: The anchor's demonstrations, every frame.
 
     Raises:
-        DataError: Demonstrations in which nothing moves: there is no variance to forget.
+        DataError: Demonstrations of one action alone: no variance can be forgotten.
 
     Example:
         >>> import torch
@@ -65,8 +65,8 @@ class AnchorWeight:
         found = explained(self.policy, self.frames)
         if not found.total.any():
             raise DataError(
-                f"forget_limit={self.limit} limits the share of the demonstrated actions' "
-                "variance that is forgotten, but all actions of the anchor's "
+                f"forget_limit={self.limit} limits the share of the demonstrated "
+                "actions' variance that is forgotten, but all actions of the anchor's "
                 "demonstrations are the same; give others, or forget_limit=null."
             )
         self._before = found.share
