@@ -60,10 +60,12 @@ def split(problem: Problem) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """
     recordings = problem.log.recordings
     total = len(recordings)
-    whole = list(dict.fromkeys(one.cut_from or one.name for one in recordings))
+    # One that was too short to be cut is whole.
+    names = [one.cut_from or one.name for one in recordings]
+    whole = list(dict.fromkeys(names))
     if 3 <= len(whole) < total:
         out = set(whole[2::3])
-        heldout = tuple(i for i in range(total) if recordings[i].cut_from in out)
+        heldout = tuple(i for i in range(total) if names[i] in out)
     else:
         heldout = tuple(i for i in range(total) if i % 3 == 2) or (total - 1,)
     return tuple(i for i in range(total) if i not in heldout), heldout
