@@ -27,6 +27,8 @@ from rlco.gap.model import LoadedModel
 _FORMATS = "a LeRobot folder, CSV, NPZ, a rosbag2 (.mcap, .db3) or BAM's JSON"
 _BAGS = (".mcap", ".db3")
 _SUFFIXES = (".csv", ".npz", *_BAGS, ".json")
+#: Fewer rows of joints are no motion: one to start from, and two to compare.
+_FEWEST_ROWS = 3
 
 
 def read_log(
@@ -178,8 +180,14 @@ def _header_angles(tables: Sequence[Table]) -> str | None:
 def _corrected(log: Log) -> Log:
     timed, notes = at_read_times(log.recordings)
     corrected = [correct_timing(recording) for recording in timed]
-    parts = tuple(part for one in corrected for part in one.parts)
+    every = [part for one in corrected for part in one.parts]
     notes += [note for one in corrected for note in one.notes]
+    parts = tuple(p for p in every if p.rows >= _FEWEST_ROWS or p.pose is not None)
+    brief = [p for p in every if p.rows < _FEWEST_ROWS and p.pose is None]
+    notes += [
+        f"{p.name!r} is left out: it has {p.rows} row{'s'[: p.rows > 1]}."
+        for p in brief
+    ]
     if not parts:
         raise DataError(f"no part of the log is whole: {few(notes, 2)}")
     return replace(log, recordings=parts, notes=(*log.notes, *_few_notes(notes)))
@@ -187,4 +195,9 @@ def _corrected(log: Log) -> Log:
 
 def _few_notes(notes: Sequence[str], most: int = 12) -> list[str]:
     more = len(notes) - most
-    return [*notes[:most], *([f"{more} more notes like these."] if more > 0 else [])]
+    if more <= 0:
+        return list(notes)
+    like = (
+        "One more note like these." if more == 1 else f"{more} more notes like these."
+    )
+    return [*notes[:most], like]
