@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from rlco.gap.logs.formats.assemble import assemble
 from rlco.gap.logs.formats.bam_files import is_bam, read_bam
 from rlco.gap.logs.formats.csv_files import read_csv
 from rlco.gap.logs.formats.dynamixel import steps_to_degrees
+from rlco.gap.logs.formats.headers import unit_factor
 from rlco.gap.logs.formats.lerobot_folders import read_lerobot
 from rlco.gap.logs.formats.npz_files import read_npz
 from rlco.gap.logs.lengths import to_metres
@@ -82,7 +83,7 @@ def read_log(
         tables, rename = read_lerobot(path, model, rename)
     else:
         tables = [table for file in _files(path) for table in _read(file, model)]
-    tables = [_scaled(table, scale or {}) for table in tables]
+    tables = [_in_si(_scaled(table, scale or {}), scale or {}) for table in tables]
     tables = [steps_to_degrees(table) for table in tables]
     log = _corrected(assemble(tables, model, rename))
     angles = angles or _header_angles(tables)
@@ -115,6 +116,26 @@ def _scaled(table: Table, scale: Mapping[str, float]) -> Table:
         for column, values in table.columns
     ]
     return replace(table, columns=tuple(columns))
+
+
+def _in_si(table: Table, known: Collection[str]) -> Table:
+    """Return a table with what its headers say is in mrad, rpm or mm converted.
+
+    Args:
+        table: One recording.
+        known: Headers of columns for which a factor was given.
+    """
+    factors = {
+        column.header: unit_factor(column.header)
+        for column, _ in table.columns
+        if column.header not in known
+    }
+    other = [header for header, factor in factors.items() if factor != 1.0]
+    if not other:
+        return table
+    columns = tuple((c, v * factors.get(c.header, 1.0)) for c, v in table.columns)
+    note = f"Converted from the units in their headers: {few(other)}."
+    return replace(table, columns=columns, notes=(*table.notes, note))
 
 
 def _files(path: Path) -> list[Path]:
