@@ -214,8 +214,12 @@ def _units(
     units: dict[str, dict[str, str]] = {}
     for effect in effects:
         parameters = EFFECTS[effect.name].parameters(loaded.model, effect.target)
-        units[effect.name] = {p.name: p.unit for p in parameters}
+        units[_place(effect)] = {p.name: p.unit for p in parameters}
     return units
+
+
+def _place(effect: AppliedEffect) -> str:
+    return f"{effect.name} {effect.target}"
 
 
 def _notes(loaded: LoadedModel, effects: Iterable[AppliedEffect]) -> list[str]:
@@ -227,7 +231,7 @@ def _notes(loaded: LoadedModel, effects: Iterable[AppliedEffect]) -> list[str]:
         if known.acts_on - {"model"}:
             place = f" at {effect.target}" if effect.target else ""
             numbers = ", ".join(
-                f"{k} = {v:g} {units[effect.name][k]}".rstrip()
+                f"{k} = {v:g} {units[_place(effect)][k]}".rstrip()
                 for k, v in effect.parameters.items()
             )
             notes.append(f"not in this file but in effects.yaml: {known.name}{place}")
