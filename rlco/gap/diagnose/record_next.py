@@ -22,7 +22,12 @@ from rlco.gap.diagnose.proposals import Trial, proposed
 from rlco.gap.logs.log import Array, Log, Recording
 from rlco.gap.search.fit import fit, library_of, with_values
 from rlco.physics.effects import EFFECTS, AppliedEffect, Parameter
-from rlco.physics.effects.targets import actuated_joint, servo_joints
+from rlco.physics.effects.targets import (
+    actuated_joint,
+    command_at,
+    is_servo,
+    servo_joints,
+)
 
 _BENCH = (
     "Record the same motions with a heavier and a lighter pendulum and with another "
@@ -188,7 +193,8 @@ def _still_joints(log: Log) -> list[str]:
 
 def _for_still_joints(problem: Problem, still: Sequence[str]) -> Motion:
     joints = list(still) or list(problem.log.joints)
-    if not isinstance(problem, ArmRollouts):
+    servos = servo_joints(problem.model)
+    if not isinstance(problem, ArmRollouts) or not set(servos).issuperset(joints):
         return Motion("more_motion", f"Move {', '.join(joints) or 'it'} more.", ())
     workspace = workspace_of(problem.model, problem.log)
     columns = [workspace.joints.index(name) for name in joints]
@@ -223,14 +229,20 @@ def _motion(
 
 
 def _commands(problem: ArmRollouts, goals: Array) -> Array:
-    """Return the actuators' goals for joint goals, in the log's order."""
-    model, joints = problem.model, problem.log.joints
-    of = [
-        actuated_joint(model, model.actuator(name).id) for name in problem.log.actuators
-    ]
-    still = np.zeros(len(goals))
-    columns = [goals[:, joints.index(j)] if j in joints else still for j in of]
-    return np.stack(columns, axis=1)
+    """Return the actuators' commands for joint goals, in the log's order.
+
+    What drives no joint of the log, or is no servo, is sent what it was mostly sent.
+    """
+    model, log = problem.model, problem.log
+    sent = np.concatenate([np.asarray(r.command, dtype=float) for r in log.recordings])
+    found = np.tile(np.median(sent, axis=0), (len(goals), 1))
+    for column, name in enumerate(log.actuators):
+        actuator = int(model.actuator(name).id)
+        joint = actuated_joint(model, actuator)
+        if joint in log.joints and is_servo(model, actuator):
+            goal = goals[:, log.joints.index(joint)]
+            found[:, column] = command_at(model, actuator) * goal
+    return found
 
 
 def _problem_on(

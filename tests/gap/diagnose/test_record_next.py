@@ -29,6 +29,7 @@ from rlco.physics.effects import AppliedEffect
 
 NOISE = 4e-4
 JOINTS = ("shoulder", "elbow")
+UNSEEN = "not_identifiable"
 DAMPING = AppliedEffect("viscous_damping", "elbow", {"damping": 0.8})
 LAG = Candidate("actuator_lag", "elbow")
 
@@ -340,3 +341,39 @@ def test_commands_are_not_written_over(tmp_path: Path) -> None:
     write_commands(folder, np.zeros((5, 1)), names=["j"], fps=10, task="rest")
     with pytest.raises(OutputExistsError):
         write_commands(folder, np.zeros((5, 1)), names=["j"], fps=10, task="rest")
+
+
+def test_commands_are_those_of_the_actuators() -> None:
+    """Through the gear of a servo; what is no joint's servo is sent as in the log."""
+    geared = ARM.replace('joint="elbow" kp="40"', 'joint="elbow" gear="-2" kp="10"')
+    feed = '<actuator><velocity name="feed" joint="elbow" kv="1e-3"/>'
+    time, goals = slow_commands()
+    sent = np.column_stack([np.full(len(time), 7.0), goals[:, 0], -2.0 * goals[:, 1]])
+    found = []
+    for xml, names, commands in (
+        (ARM, JOINTS, goals),
+        (geared.replace("<actuator>", feed), ("feed", *JOINTS), sent),
+    ):
+        part = Recording("a", time, goals, np.zeros_like(goals), commands)
+        spec = mujoco.MjSpec.from_string(xml)
+        problem = ArmRollouts(spec, Log((part,), JOINTS, names), np.full(2, NOISE))
+        (motion,) = recommend(problem, replace(ambiguous(()), verdict=UNSEEN))
+        assert motion.commands is not None
+        found.append(motion.commands)
+    plain, other = found
+    assert np.ptp(plain, axis=0).min() > 0.3
+    np.testing.assert_allclose(other[:, 1:], plain * [1.0, -2.0])
+    assert (other[:, 0] == 7.0).all()
+
+
+def test_no_commands_are_proposed_for_motors() -> None:
+    xml = ARM.replace('<position name="elbow" joint="elbow" kp="40" kv="2"', "<motor")
+    xml = xml.replace("<motor", '<motor name="elbow" joint="elbow"')
+    time, goals = slow_commands()
+    part = Recording("a", time, goals, np.zeros_like(goals), goals)
+    spec = mujoco.MjSpec.from_string(xml)
+    problem = ArmRollouts(spec, Log((part,), JOINTS, JOINTS), np.full(2, NOISE))
+    (motion,) = recommend(problem, replace(ambiguous(()), verdict=UNSEEN))
+    # Goals of positions would be torques to it.
+    assert motion.commands is None
+    assert motion.how == "Move shoulder, elbow more."

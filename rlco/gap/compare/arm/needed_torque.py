@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from rlco.gap.logs.log import Array
-from rlco.physics.effects.targets import actuator_of, dof_of
+from rlco.physics.effects.targets import actuator_of, command_at, dof_of
 
 # A limit shows only below the required torque, and a joint with far too little torque
 # falls whatever else it does. Initial limits are therefore spaced closely enough for a
@@ -29,7 +29,7 @@ def servo_torque(
     Args:
         model: The robot.
         joints: Names of the columns.
-        command: (T, joints) [rad or m].
+        command: Of a servo, where its joint shall be, (T, joints) [rad or m].
         position: (T, joints) [rad or m].
         velocity: (T, joints) [rad/s or m/s].
 
@@ -42,8 +42,9 @@ def servo_torque(
         if actuator < 0:
             continue
         gear, bias = model.actuator_gear[actuator, 0], model.actuator_biasprm[actuator]
+        gain = model.actuator_gainprm[actuator, 0] * command_at(model, actuator)
         torque[:, column] = (
-            model.actuator_gainprm[actuator, 0] * command[:, column]
+            gain * command[:, column]
             + bias[0]
             + gear * bias[1] * position[:, column]
             + gear * bias[2] * velocity[:, column]
