@@ -271,7 +271,7 @@ def search(
         prepared.problem, spread=SPREAD, exclude={*exclude, *known}, on_step=on_step
     )
     if before is None:
-        return verdict, prepared
+        return replace(verdict, calibrated=True), prepared
     if verdict.verdict in _QUIET and verdict.complete:
         # Shares of a difference within what is not known would mean nothing.
         verdict = replace(verdict, verdict=NO_CHANGE, closest=())

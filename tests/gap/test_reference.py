@@ -192,7 +192,9 @@ def test_the_recipe_tells_calibration_and_finding_apart(
     numbers = content["calibration"]["numbers"]
     away = [abs(one["prior_deviations"]) for one in numbers]
     assert away == sorted(away, reverse=True)
-    assert "<h2>Calibration</h2>" in (out / "report.html").read_text("utf-8")
+    page = (out / "report.html").read_text("utf-8")
+    assert "<h2>Calibration</h2>" in page
+    assert "After the calibration, over all recordings" in page
     before, after = f"reference={files / 'before'}", f"data={files / 'after'}"
     start("find_gap", model, before, after, f"out={tmp_path / 'changed'}")
     content = json.loads((tmp_path / "changed" / "report.json").read_text())

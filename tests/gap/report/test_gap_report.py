@@ -202,6 +202,32 @@ def test_each_verdict_has_its_own_words(problem: Arm, kind: str) -> None:
     assert f"{1e3 * nothing_named(problem).gap.before_heldout:.1f} mrad" in words
 
 
+def test_what_a_calibration_left_is_not_said_of_the_model_as_it_is(
+    problem: Arm,
+) -> None:
+    plain = nothing_named(problem, "no_gap")
+    for verdict, model, when, todo in (
+        (plain, "nominal model", "Before any fit", "Nothing: the model"),
+        (
+            replace(plain, calibrated=True),
+            "calibrated model",
+            "After the calibration",
+            "Use the calibrated model",
+        ),
+    ):
+        labels = label_regimes(problem)
+        figures = figure_data(problem, verdict, where(problem, labels=labels), labels)
+        read = Read(page(Page(verdict, figures, problem.log)))
+        assert f"What to do now {todo}" in read.text
+        assert f"{when}, over all recordings" in read.text
+        assert headline(verdict).startswith(f"The {model.removeprefix('nominal ')}")
+        shown = "the calibrated model" if verdict.calibrated else "the model as it is"
+        assert figures.nominal == shown
+    named_beside = replace(named(problem), since_reference=True)
+    figures = figure_data(problem, named_beside, figures.before, labels)
+    assert figures.nominal == "as known before"
+
+
 def test_figures_show_the_numbers(problem: Arm) -> None:
     before = where(problem)
     after = where(problem, Hypothesis((FRICTION, DAMPING)))
