@@ -213,7 +213,7 @@ def _effects(source: Page) -> str:
             return ""
         return (
             "<h2>The closest explanations</h2>\n"
-            + html.table(["effect", "share of the held-out gap it would explain"], rows)
+            + html.table(["effect", "share of the error it would explain"], rows)
             + '<p class="quiet">Tried and rejected: none of these is the answer.</p>'
         )
     known = source.known or source.model

@@ -134,6 +134,8 @@ def test_the_page_names_nothing_where_nothing_was_named(problem: Arm) -> None:
     read = Read(html(problem, nothing_named(problem)))
     assert "Missing from the model" not in read.text
     assert "armature at elbow 20 %" in read.text
+    # That is of all recordings, see `closest` in docs/gap.md.
+    assert "share of the error it would explain" in read.text
     assert "none of these is the answer" in read.text
     assert len(read.alts) == 3  # one trace: where the disagreement is largest
 
