@@ -58,7 +58,8 @@ def contact_line(before: Where) -> str:
 def regime_table(before: Where) -> str:
     """Return each channel's disagreement in each regime as a table."""
     cells = {(cell.target, cell.regime): cell for cell in before.cells}
-    largest = max(cell.size for cell in before.cells)
+    # Of a model that recorded the log itself nothing is left.
+    largest = max(cell.size for cell in before.cells) or 1.0
     names = [EVERYWHERE, *REGIMES]
     names = [name for name in names if any(regime == name for _, regime in cells)]
     rows = [

@@ -230,6 +230,16 @@ def test_what_a_calibration_left_is_not_said_of_the_model_as_it_is(
     assert figures.nominal == "as known before"
 
 
+def test_a_log_of_the_model_itself_has_a_page(problem: Arm) -> None:
+    tracks = [problem.traces(Hypothesis(), i)["simulated"] for i in range(3)]
+    logs = zip(problem.log.recordings, tracks, strict=True)
+    exact = [replace(one, position=np.array(track)) for one, track in logs]
+    arm = Arm(replace(problem.log, recordings=tuple(exact)))
+    assert not arm.residuals([Hypothesis()]).any()
+    read = Read(html(arm, nothing_named(arm, "no_gap")))
+    assert "Nowhere above the noise." in read.text
+
+
 def test_figures_show_the_numbers(problem: Arm) -> None:
     before = where(problem)
     after = where(problem, Hypothesis((FRICTION, DAMPING)))
