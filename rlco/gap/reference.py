@@ -397,4 +397,5 @@ def _optimism(
     scaled = residual / problem.noise[layout.channel]
     rows = len(residual) / correlation_length(scaled, series)
     numbers = len(calibration.amounts) - float(np.trace(calibration.covariance))
+    numbers += len(calibration.amounts) - calibration.basis.shape[1]
     return float(np.sqrt(rows / max(rows - numbers, 0.3 * rows)))
