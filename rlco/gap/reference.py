@@ -204,7 +204,7 @@ def changed_problem(
     rested, weight, channel = weights_of(again), weights_of(later), later.layout.channel
     residual = again.residuals([Hypothesis()])[0] * rested
     lacking = residual_model(again, residual, later)
-    unknown = lacking.deviation * _optimism(again, residual, calibration)
+    unknown = lacking.deviation * optimism(again, residual, calibration)
     # Of mean square one in each channel: sizes stay those of the rows.
     earlier = 1.0 / sizes(rested, again.layout.channel, len(unknown))
     usual = 1.0 / sizes(weight, channel, len(unknown))
@@ -388,14 +388,14 @@ def _check_same(known: Calibratable, before: Log, after: Log) -> None:
         )
 
 
-def _optimism(
-    problem: Calibratable, residual: Array, calibration: Calibration
-) -> float:
-    """Return how much larger a residual is where its model was not fitted."""
+def optimism(problem: Calibratable, residual: Array, calibration: Calibration) -> float:
+    """Return how much larger a residual is where its model was not fitted.
+
+    A number counts as far as the recordings determine it, and not its prior.
+    """
     layout = problem.layout
     series = seconds_of(layout) * len(layout.channels) + layout.channel
     scaled = residual / problem.noise[layout.channel]
     rows = len(residual) / correlation_length(scaled, series)
     numbers = len(calibration.amounts) - float(np.trace(calibration.covariance))
-    numbers += len(calibration.amounts) - calibration.basis.shape[1]
     return float(np.sqrt(rows / max(rows - numbers, 0.3 * rows)))
