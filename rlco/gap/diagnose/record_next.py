@@ -16,7 +16,13 @@ from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Candidate, Hypothesis, Problem
 from rlco.gap.compare.servo.bench import ServoBench
 from rlco.gap.compare.verdict import NamedEffect, Verdict
-from rlco.gap.diagnose.motions import KINDS, Kind, Workspace, workspace_of
+from rlco.gap.diagnose.motions import (
+    KINDS,
+    Kind,
+    Workspace,
+    usual_ways,
+    workspace_of,
+)
 from rlco.gap.diagnose.proposals import Motion as Motion
 from rlco.gap.diagnose.proposals import Trial, proposed
 from rlco.gap.logs.log import Array, Log, Recording
@@ -53,7 +59,7 @@ def recommend(problem: Problem, verdict: Verdict) -> list[Motion]:
         if finding.rivals
         for motion in _for_rivals(problem, verdict, finding)
     ]
-    still = _still_joints(problem.log)
+    still = _still_joints(problem)
     if still or verdict.verdict == "not_identifiable":
         motions.append(_for_still_joints(problem, still))
     return list({motion.name: motion for motion in motions}.values())
@@ -181,14 +187,15 @@ def _choices(workspace: Workspace, members: Sequence[Candidate]) -> list[list[in
     return [every] if not of or len(of) == len(every) else [sorted(of), every]
 
 
-def _still_joints(log: Log) -> list[str]:
-    """Return the joints that nearly always stay within a hundredth of a radian."""
+def _still_joints(problem: Problem) -> list[str]:
+    """Return the joints that nearly always stay within 0.01 rad, or 1 mm."""
+    log = problem.log
     parts = [np.asarray(r.position) for r in log.recordings if r.position is not None]
     if not parts:
         return []
     low, high = np.quantile(np.concatenate(parts), [0.05, 0.95], axis=0)
-    ranges = high - low
-    return [name for name, s in zip(log.joints, ranges, strict=True) if s < 0.01]
+    ways = (high - low) / usual_ways(problem.model, log.joints)
+    return [name for name, s in zip(log.joints, ways, strict=True) if s < 0.01]
 
 
 def _for_still_joints(problem: Problem, still: Sequence[str]) -> Motion:

@@ -139,6 +139,36 @@ def test_a_robots_room_is_what_its_log_shows() -> None:
     assert workspace.rate == 50.0
 
 
+def test_a_slide_that_did_not_move_goes_centimetres() -> None:
+    xml = ARM.replace('name="elbow" axis', 'name="elbow" type="slide" axis', 1)
+    model = mujoco.MjModel.from_xml_string(xml)
+    time = np.arange(500) / 50
+    swing = np.sin(time)
+    # A centimetre is a motion of a slide, as a tenth of a radian is one of a hinge.
+    for reach, far in ((0.0, 0.03), (0.01, 0.01)):
+        positions = np.column_stack([swing, reach * swing])
+        log = Log((Recording("a", time, positions),), JOINTS, JOINTS)
+        workspace = workspace_of(model, log)
+        assert workspace.high[1] == pytest.approx(far, rel=0.01)
+        assert workspace.low[1] == pytest.approx(-far, rel=0.01)
+        assert workspace.speed[1] <= 0.026
+
+
+def test_a_joint_that_was_at_its_limit_stays_where_it_was() -> None:
+    limited = ARM.replace('name="elbow"', 'name="elbow" range="-90 90"', 1)
+    model = mujoco.MjModel.from_xml_string(limited)
+    time = np.arange(500) / 50
+    near = 1.54 + 0.03 * np.sin(time)
+    log = Log((Recording("a", time, np.column_stack([near, near])),), JOINTS, JOINTS)
+    workspace = workspace_of(model, log)
+    assert workspace.low[1] == pytest.approx(1.51, abs=1e-3)
+    assert workspace.high[1] == pytest.approx(1.57, abs=1e-3)
+    for kind in KINDS:
+        goals = kind.make(workspace, [1])[:, 1]
+        assert goals.min() >= 1.509
+        assert goals.max() <= 1.571
+
+
 # -- Which motion --------------------------------------------------------------
 
 
