@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -244,7 +245,9 @@ def with_notes(text: str, notes: list[str]) -> str:
     if not notes:
         return text
     end = Editor(text).root.stop
-    lines = "".join(f"\n  <!-- {note} -->" for note in notes)
+    # Two dashes would end a comment, and names may have them.
+    plain = [re.sub("-(?=-)", "- ", note) for note in notes]
+    lines = "".join(f"\n  <!-- {note} -->" for note in plain)
     raw = text.encode()
     return (raw[:end] + lines.encode() + raw[end:]).decode()
 

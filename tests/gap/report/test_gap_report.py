@@ -18,7 +18,7 @@ from rlco.gap.compare.verdict import FreeForm, NamedEffect, Value, Verdict
 from rlco.gap.diagnose.regimes import label_regimes
 from rlco.gap.diagnose.traces import best_stretches, figure_data
 from rlco.gap.diagnose.where import where
-from rlco.gap.report.figures import gap_bars, heat_map, trace_figure
+from rlco.gap.report.figures import gap_bars, heat_map, png, trace_figure
 from rlco.gap.report.free_form import free_form_figure, free_form_section
 from rlco.gap.report.next_steps import next_steps
 from rlco.gap.report.report_html import Page, page
@@ -238,6 +238,11 @@ def test_a_log_of_the_model_itself_has_a_page(problem: Arm) -> None:
     assert not arm.residuals([Hypothesis()]).any()
     read = Read(html(arm, nothing_named(arm, "no_gap")))
     assert "Nowhere above the noise." in read.text
+
+
+def test_names_are_no_formulas() -> None:
+    names, sizes = ("$j^{$", "$\\frac$"), np.full(2, 1e-3)
+    assert png(gap_bars(names, ("rad",) * 2, sizes, 9 * sizes, None))[1:4] == b"PNG"
 
 
 def test_figures_show_the_numbers(problem: Arm) -> None:
