@@ -57,7 +57,7 @@ from rlco.gap.report.verdict_text import (
     verdict_lines,
     where_lines,
 )
-from rlco.gap.search.find_gap import find_gap
+from rlco.gap.search.find_gap import check_names, find_gap
 from rlco.gap.torques_beside import SEARCHED, torque_warning, torques_beside
 from rlco.physics.effects import load_code
 from rlco.runs.whole_files import whole_folder, write_json, write_text
@@ -301,6 +301,7 @@ def run_gap(
     say = progress or (lambda said, part: None)
     usual = calibrates(calibrate, reference is not None, compare)
     load_code(effects_code)
+    check_names(exclude)
     loaded = load_model(model, root=model_root)
     recordings = read_log(data, loaded, rename=rename, scale=scale, angles=angles)
     asked, beside = chosen(recordings, compare)

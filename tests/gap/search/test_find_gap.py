@@ -11,7 +11,7 @@ import pytest
 from hidden_arms import TWO_LINKS, Act, Hide, record
 from small_problems import ball_problem
 
-from rlco.errors import DataError
+from rlco.errors import DataError, UnknownNameError
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.verdict import Verdict
 from rlco.gap.search import find_gap as find_gap_module
@@ -166,3 +166,8 @@ def test_a_single_toss_is_refused() -> None:
     problem = ball_problem()
     with pytest.raises(DataError, match="one recording, 'toss', of which nothing can"):
         find_gap(problem)
+
+
+def test_an_effect_to_leave_out_is_one_of_the_library() -> None:
+    with pytest.raises(UnknownNameError, match="did you mean 'backlash'"):
+        find_gap(ball_problem(), exclude=["backlsh"])

@@ -61,8 +61,10 @@ def limits(torque: Array) -> tuple[float, ...]:
     Example:
         >>> [round(limit, 2) for limit in limits(np.array([1.0, 1.0, 1.0, 2.0]))]
         [1.79, 1.36, 1.04, 0.79, 0.6]
+        >>> limits(np.r_[np.zeros(999), 2.0])[0]  # a single short pulse
+        1.8
     """
-    high = 0.9 * float(np.quantile(torque, 0.995))
+    high = 0.9 * float(np.quantile(torque, 0.995) or torque.max())
     low = max(0.6 * float(np.median(torque)), 0.08 * high)
     count = int(np.ceil(np.log(high / low) / np.log(_CLOSE))) + 1
     return tuple(np.geomspace(high, low, min(max(count, 2), _MOST)).tolist())
