@@ -407,3 +407,18 @@ def test_no_commands_are_proposed_for_motors() -> None:
     # Goals of positions would be torques to it.
     assert motion.commands is None
     assert motion.how == "Move shoulder, elbow more."
+
+
+def test_commands_stay_in_their_folder_whatever_a_joint_is_called(
+    tmp_path: Path,
+) -> None:
+    out = tmp_path / "out"
+    goals = np.zeros((40, 1))
+    rows = [
+        Motion(name, "", (), commands=goals, names=("a",), fps=20).save(out)
+        for name in ("sweep_/../../../far", "sweep__.._.._.._far", "sweep_" + 200 * "ö")
+    ]
+    folders = [out / str(row["commands"]) for row in rows]
+    assert [one.parent for one in folders] == [out / "record_next"] * 3
+    assert all((one / "meta" / "info.json").is_file() for one in folders)
+    assert [one.name for one in tmp_path.iterdir()] == ["out"]
