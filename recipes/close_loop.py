@@ -170,7 +170,8 @@ def shrinkage(rows: list[ResultRow]) -> tuple[float, float]:
     """Return what the nominal policies lose to the oracle, and how much is won back.
 
     Returns:
-        The loss of success, mean over seeds, and the share of it that is gone.
+        The loss of success, mean over seeds, and the share of it that is gone: NaN
+        where nothing is lost.
     """
     rates = {
         method: [r["successes"] / r["episodes"] for r in rows if r["method"] == method]
@@ -179,6 +180,17 @@ def shrinkage(rows: list[ResultRow]) -> tuple[float, float]:
     nominal, corrected, oracle = (sum(rates[m]) / len(rates[m]) for m in METHODS)
     loss = oracle - nominal
     return loss, (corrected - nominal) / loss if loss > 0 else float("nan")
+
+
+def told(loss: float, gone: float) -> str:
+    """Return in a sentence what `shrinkage` found."""
+    nominal = "Success where the effect is: trained in the nominal simulator it is"
+    if not loss > 0:
+        return f"{nominal} no lower than trained where the effect is."
+    return (
+        f"{nominal} {100 * loss:.0f} points below training where the effect is; "
+        f"{100 * gone:.0f} % of that is won back in the corrected simulator."
+    )
 
 
 def main(config: Config) -> None:
@@ -205,11 +217,7 @@ def main(config: Config) -> None:
         plots.save_figure(plots.success_bars(rows), run.plots / "success.png")
         loss, gone = shrinkage(rows)
     listed = "; ".join(f"{e.name} {e.target} {dict(e.parameters)}" for e in effects)
-    result = (
-        f"Success where the effect is: trained in the nominal simulator it is "
-        f"{100 * loss:.0f} points below training where the effect is; "
-        f"{100 * gone:.0f} % of that is won back in the corrected simulator."
-    )
+    result = told(loss, gone)
     log.info(result)
     report = write_report(
         run.path,

@@ -30,7 +30,8 @@ class Check:
     Attributes:
         channels: What is compared: joints, or the tool's coordinates, C of them.
         units: The unit of each.
-        before: Root mean square disagreement of the model as it is, (C,) [unit].
+        before: Root mean square disagreement of the model as it is, (C,) [unit];
+            infinite where the simulation diverges.
         after: The same with the effects, (C,) [unit].
         noise: The noise of the measurements, (C,) [unit].
         notes: What was noticed and corrected in the recordings.
@@ -50,21 +51,30 @@ class Check:
             self.channels, self.units, self.before, self.after, self.noise, strict=True
         )
         return [
-            f"{name:{width}}: {amount(before, unit)} as it is, {amount(after, unit)} "
+            f"{name:{width}}: {_size(before, unit)} as it is, {_size(after, unit)} "
             f"with the effects; noise {amount(noise, unit)}"
             for name, unit, before, after, noise in rows
         ]
 
     def as_json(self) -> dict[str, object]:
-        """Return the same for programs."""
+        """Return the same for programs; None where the simulation diverges."""
         return {
             "channels": list(self.channels),
             "units": list(self.units),
-            "before": self.before.tolist(),
-            "after": self.after.tolist(),
+            "before": _finite(self.before),
+            "after": _finite(self.after),
             "noise": self.noise.tolist(),
             "notes": list(self.notes),
         }
+
+
+def _size(value: float, unit: str) -> str:
+    return amount(value, unit) if np.isfinite(value) else "diverging"
+
+
+def _finite(values: Array) -> list[float | None]:
+    """Return numbers for JSON, which has no infinity."""
+    return [float(value) if np.isfinite(value) else None for value in values]
 
 
 def check_effects(

@@ -204,7 +204,7 @@ def changed_problem(
     rested, weight, channel = weights_of(again), weights_of(later), later.layout.channel
     residual = again.residuals([Hypothesis()])[0] * rested
     lacking = residual_model(again, residual, later)
-    unknown = lacking.deviation * _optimism(again, residual, calibration)
+    unknown = lacking.deviation * optimism(again, residual, calibration)
     # Of mean square one in each channel: sizes stay those of the rows.
     earlier = 1.0 / sizes(rested, again.layout.channel, len(unknown))
     usual = 1.0 / sizes(weight, channel, len(unknown))
@@ -271,7 +271,7 @@ def search(
         prepared.problem, spread=SPREAD, exclude={*exclude, *known}, on_step=on_step
     )
     if before is None:
-        return verdict, prepared
+        return replace(verdict, calibrated=True), prepared
     if verdict.verdict in _QUIET and verdict.complete:
         # Shares of a difference within what is not known would mean nothing.
         verdict = replace(verdict, verdict=NO_CHANGE, closest=())
@@ -388,10 +388,11 @@ def _check_same(known: Calibratable, before: Log, after: Log) -> None:
         )
 
 
-def _optimism(
-    problem: Calibratable, residual: Array, calibration: Calibration
-) -> float:
-    """Return how much larger a residual is where its model was not fitted."""
+def optimism(problem: Calibratable, residual: Array, calibration: Calibration) -> float:
+    """Return how much larger a residual is where its model was not fitted.
+
+    A number counts as far as the recordings determine it, and not its prior.
+    """
     layout = problem.layout
     series = seconds_of(layout) * len(layout.channels) + layout.channel
     scaled = residual / problem.noise[layout.channel]

@@ -36,7 +36,13 @@ from rlco.gap.make_problem import (
     make_problem,
 )
 from rlco.gap.model import LoadedModel, load_model
-from rlco.gap.reference import calibrated_model, calibrates, prepare, search
+from rlco.gap.reference import (
+    Prepared,
+    calibrated_model,
+    calibrates,
+    prepare,
+    search,
+)
 from rlco.gap.report.calibration import (
     calibration_json,
     effects_json,
@@ -44,8 +50,14 @@ from rlco.gap.report.calibration import (
 )
 from rlco.gap.report.compared import compared_json, comparison_lines
 from rlco.gap.report.report_json import report
-from rlco.gap.report.verdict_text import verdict_lines, where_lines
-from rlco.gap.search.find_gap import find_gap
+from rlco.gap.report.verdict_text import (
+    AFTER_CALIBRATION,
+    BEFORE_FITS,
+    BESIDE_KNOWN,
+    verdict_lines,
+    where_lines,
+)
+from rlco.gap.search.find_gap import check_names, find_gap
 from rlco.gap.torques_beside import SEARCHED, torque_warning, torques_beside
 from rlco.physics.effects import load_code
 from rlco.runs.whole_files import whole_folder, write_json, write_text
@@ -289,6 +301,7 @@ def run_gap(
     say = progress or (lambda said, part: None)
     usual = calibrates(calibrate, reference is not None, compare)
     load_code(effects_code)
+    check_names(exclude)
     loaded = load_model(model, root=model_root)
     recordings = read_log(data, loaded, rename=rename, scale=scale, angles=angles)
     asked, beside = chosen(recordings, compare)
@@ -319,7 +332,7 @@ def run_gap(
         log.info("note: %s", note)
     labels = label_regimes(problem)
     before = where(problem, labels=labels)
-    for line in where_lines(before):
+    for line in where_lines(before, _when(prepared)):
         log.info("%s", line)
     parts = 2.0 if both else 1.0
 
@@ -356,6 +369,13 @@ def run_gap(
         before=None if prepared is None else prepared.before,
         filmed=shown,
     )
+
+
+def _when(prepared: Prepared | None) -> str:
+    """Return when the disagreement before a search is computed."""
+    if prepared is None or prepared.summary is None:
+        return BEFORE_FITS
+    return AFTER_CALIBRATION if prepared.before is None else BESIDE_KNOWN
 
 
 def _to_record_next(

@@ -85,3 +85,15 @@ def test_a_comparison_that_the_log_does_not_allow_is_refused(
     write_effects(tmp_path / "effects.yaml", [DAMPING])
     with pytest.raises(RlcoError, match="compare=torques needs"):
         check_effects(*robot, tmp_path / "effects.yaml", compare="torques")
+
+
+def test_what_diverges_is_said_and_no_number_of_json(
+    robot: tuple[Path, Path], tmp_path: Path
+) -> None:
+    wild = AppliedEffect("actuator_gain", "elbow", {"factor": 1e6})
+    write_effects(tmp_path / "effects.yaml", [wild])
+    check = check_effects(*robot, tmp_path / "effects.yaml")
+    content = json.loads(json.dumps(check.as_json(), allow_nan=False))
+    assert content["after"] == [None, None]
+    assert content["before"][1] == pytest.approx(check.before[1])
+    assert ", diverging with the effects; noise 0.4" in check.lines()[0]

@@ -133,3 +133,15 @@ def test_recordings_are_held_out_whole_where_there_are_enough(
     train, heldout = split(problem)
     assert heldout == expected
     assert sorted([*train, *heldout]) == list(range(len(problem.log.recordings)))
+
+
+def test_a_recording_too_short_to_be_cut_is_held_out_like_the_others(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "arm.xml").write_text(TWO_LINKS)
+    log = record(episodes=3)
+    brief = log.recordings[2].take(slice(0, round(1.5 * FPS)))
+    log = replace(log, recordings=(*log.recordings[:2], brief))
+    problem = make_problem(load_model(tmp_path / "arm.xml"), log)
+    assert len(problem.log.recordings) == 5
+    assert split(problem) == ((0, 1, 2, 3), (4,))

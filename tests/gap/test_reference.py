@@ -5,6 +5,8 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -24,10 +26,13 @@ from small_problems import BALL
 
 from rlco.errors import DataError, RlcoError, UnknownNameError
 from rlco.gap import run_gap
+from rlco.gap.calibrate.fit import Calibration
+from rlco.gap.calibrate.numbers import Number
+from rlco.gap.compare.problem import Layout
 from rlco.gap.compare.verdict import Verdict
 from rlco.gap.logs.log import Log, Recording
 from rlco.gap.model import LoadedModel, load_model
-from rlco.gap.reference import calibrates, prepare, search
+from rlco.gap.reference import calibrates, optimism, prepare, search
 
 
 @pytest.fixture(scope="module")
@@ -192,7 +197,9 @@ def test_the_recipe_tells_calibration_and_finding_apart(
     numbers = content["calibration"]["numbers"]
     away = [abs(one["prior_deviations"]) for one in numbers]
     assert away == sorted(away, reverse=True)
-    assert "<h2>Calibration</h2>" in (out / "report.html").read_text("utf-8")
+    page = (out / "report.html").read_text("utf-8")
+    assert "<h2>Calibration</h2>" in page
+    assert "After the calibration, over all recordings" in page
     before, after = f"reference={files / 'before'}", f"data={files / 'after'}"
     start("find_gap", model, before, after, f"out={tmp_path / 'changed'}")
     content = json.loads((tmp_path / "changed" / "report.json").read_text())
@@ -266,3 +273,26 @@ def test_options_that_contradict_each_other_are_refused() -> None:
         calibrates("none", True, None)
     with pytest.raises(RlcoError, match="compare=positions"):
         calibrates("usual", False, "both")
+
+
+def test_what_was_not_fitted_does_not_count_against_a_residual() -> None:
+    """Of a hundred numbers one combination was fitted: a thousand rows are 999."""
+    rows = 1000
+    channel = np.zeros(rows, dtype=np.int64)
+    time = np.arange(rows) / 2.0
+    layout = Layout(channel, time, channel, ("elbow",), ("rad",))
+    problem: Any = SimpleNamespace(layout=layout, noise=np.ones(1))
+    # Of alternating sign: each row is one by itself.
+    residual = np.where(np.arange(rows) % 2, 1.0, -1.0)
+    numbers = (Number("link_parameters", "link", "x", 0.1),) * 100
+    fitted = Calibration(
+        numbers,
+        np.zeros(100),
+        np.eye(100)[:, :1],
+        np.array([[1e9]]),
+        1.0,
+        rows,
+        1.0,
+        1.0,
+    )
+    assert optimism(problem, residual, fitted) == pytest.approx((1000 / 999) ** 0.5)

@@ -107,7 +107,16 @@ def test_what_is_won_back_is_told_as_a_share_of_what_was_lost() -> None:
         for seed, successes in enumerate(both)
     ]
     # 0.3, 0.7 and 0.8 in the mean: 0.4 of 0.5 is won back.
-    assert module.shrinkage(rows) == (pytest.approx(0.5), pytest.approx(0.8))
+    found = module.shrinkage(rows)
+    assert found == (pytest.approx(0.5), pytest.approx(0.8))
+    assert "50 points below" in module.told(*found)
+    assert "80 % of that is won back" in module.told(*found)
+    # A share of nothing is none.
+    swapped = {"nominal": "oracle", "oracle": "nominal", "corrected": "corrected"}
+    turned = [{**one, "method": swapped[one["method"]]} for one in rows]
+    for other in (turned, [row(method, 0, 5) for method in swapped]):
+        words = module.told(*module.shrinkage(other))
+        assert words.endswith("is no lower than trained where the effect is.")
 
 
 def test_another_effect_may_be_hidden(tmp_path: Path) -> None:

@@ -78,8 +78,12 @@ class Calibration:
 
     @property
     def covariance(self) -> Array:
-        """Covariance of the amounts, (N, N)."""
-        return self._inverse(self.normal / self.length, 1.0)
+        """Covariance of the amounts, (N, N).
+
+        Combinations that were not fitted, since they show nowhere, keep their prior.
+        """
+        unseen = np.eye(len(self.amounts)) - self.basis @ self.basis.T
+        return np.asarray(self._inverse(self.normal / self.length, 1.0) + unseen)
 
     @property
     def deviation(self) -> Array:

@@ -38,6 +38,9 @@ def measurement_noise(recordings: Sequence[tuple[Array, Array]]) -> Noise:
     An encoder's step q adds an error of q / sqrt(12), see Widrow and Kollar,
     *Quantization Noise* (2008), which samples at rest do not reveal.
 
+    Of a channel that never changes nothing is known. It gets the median of the others:
+    without noise it would outweigh all of them.
+
     Args:
         recordings: Times (T,) and samples (T, channels) of each recording.
 
@@ -54,11 +57,18 @@ def measurement_noise(recordings: Sequence[tuple[Array, Array]]) -> Noise:
     travel = np.concatenate([part[1] for part in parts])
     values = np.concatenate([values for _, values in recordings])
     quantum = np.array([encoder_step(column) for column in values.T])
-    deviation = [
-        _deviation(high[:, c], travel[:, c], quantum[c], values[:, c])
-        for c in range(values.shape[1])
-    ]
-    return Noise(np.array(deviation), quantum)
+    deviation = np.array(
+        [
+            _deviation(high[:, c], travel[:, c], quantum[c], values[:, c])
+            for c in range(values.shape[1])
+        ]
+    )
+    still = np.all([np.ptp(part, axis=0) == 0.0 for _, part in recordings], axis=0)
+    if still.any() and not still.all():
+        # Where it stands in each recording is no step of its encoder, either.
+        quantum = np.where(still, 0.0, quantum)
+        deviation = np.where(still, np.median(deviation[~still]), deviation)
+    return Noise(deviation, quantum)
 
 
 def position_noise(log: Log) -> Noise:

@@ -175,6 +175,8 @@ class Verdict:
             where nothing is named, or a comparison has no joint intervals.
         since_reference: Whether it is of what changed since earlier recordings, and the
             noise is what these leave unknown.
+        calibrated: Whether it is of what the model lacks that was calibrated to these
+            recordings; the gap before is then that of the calibrated one.
     """
 
     complete: bool
@@ -194,3 +196,4 @@ class Verdict:
     free_form: FreeForm | None = None
     sample: Array | None = None
     since_reference: bool = False
+    calibrated: bool = False

@@ -10,6 +10,7 @@ from rlco.gap.compare.verdict import NamedEffect
 from rlco.physics.effects import AppliedEffect
 
 _SMALLER = {"rad": ("mrad", 1e3), "m": ("mm", 1e3), "s": ("ms", 1e3)}
+_LEAST, _MOST = 5e-7, 1e9  # beyond these a number has only zeros, or too many digits
 _MIXED = "mixed"  # unit of a root mean square over radians and metres
 
 
@@ -65,9 +66,13 @@ def number(value: float, width: float = math.inf) -> str:
         '1.001'
         >>> number(0.012345), number(1234.5), number(-2.0), number(0.0)
         ('0.0123', '1234', '-2.00', '0')
+        >>> number(4.2e-7), number(3.4e12)
+        ('4.20e-07', '3.40e+12')
     """
     if value == 0 or not math.isfinite(value):
         return f"{value:g}"
+    if not _LEAST <= abs(value) < _MOST:
+        return f"{value:.2e}"
     digits = 2 - math.floor(math.log10(abs(value)))
     if 0 < width < math.inf:
         digits = max(digits, -math.floor(math.log10(width)))

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import difflib
 import os
+import re
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
@@ -214,8 +215,12 @@ def _units(
     units: dict[str, dict[str, str]] = {}
     for effect in effects:
         parameters = EFFECTS[effect.name].parameters(loaded.model, effect.target)
-        units[effect.name] = {p.name: p.unit for p in parameters}
+        units[_place(effect)] = {p.name: p.unit for p in parameters}
     return units
+
+
+def _place(effect: AppliedEffect) -> str:
+    return f"{effect.name} {effect.target}"
 
 
 def _notes(loaded: LoadedModel, effects: Iterable[AppliedEffect]) -> list[str]:
@@ -227,7 +232,7 @@ def _notes(loaded: LoadedModel, effects: Iterable[AppliedEffect]) -> list[str]:
         if known.acts_on - {"model"}:
             place = f" at {effect.target}" if effect.target else ""
             numbers = ", ".join(
-                f"{k} = {v:g} {units[effect.name][k]}".rstrip()
+                f"{k} = {v:g} {units[_place(effect)][k]}".rstrip()
                 for k, v in effect.parameters.items()
             )
             notes.append(f"not in this file but in effects.yaml: {known.name}{place}")
@@ -240,7 +245,9 @@ def with_notes(text: str, notes: list[str]) -> str:
     if not notes:
         return text
     end = Editor(text).root.stop
-    lines = "".join(f"\n  <!-- {note} -->" for note in notes)
+    # Two dashes would end a comment, and names may have them.
+    plain = [re.sub("-(?=-)", "- ", note) for note in notes]
+    lines = "".join(f"\n  <!-- {note} -->" for note in plain)
     raw = text.encode()
     return (raw[:end] + lines.encode() + raw[end:]).decode()
 

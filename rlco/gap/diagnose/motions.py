@@ -47,8 +47,9 @@ class Workspace:
 def workspace_of(model: mujoco.MjModel, log: Log) -> Workspace:
     """Return the ranges and speeds observed in a log.
 
-    For a joint that hardly moved, the log contains neither. It may move by 0.3 rad
-    around its position, within its limits, at a quarter of the other joints' speed.
+    For a joint that hardly moved, the log contains neither. It may move by 0.3 rad, or
+    3 cm, around its position, within its limits, at a quarter of the other joints'
+    speed.
 
     Args:
         model: The robot, for the limits of its joints.
@@ -64,23 +65,35 @@ def workspace_of(model: mujoco.MjModel, log: Log) -> Workspace:
     )
     low, high = np.quantile(rows, [0.001, 0.999], axis=0)
     fast = np.quantile(speeds, 0.99, axis=0)
-    still = high - low < 0.05
+    size = usual_ways(model, log.joints)
+    still = high - low < 0.05 * size
     home = np.median(rows, axis=0)
     if still.any():
-        usual = float(np.median(fast[~still])) if (~still).any() else 1.0
-        fast = np.where(still, 0.25 * usual, fast)
-        low, high = np.where(still, home - 0.3, low), np.where(still, home + 0.3, high)
+        usual = float(np.median((fast / size)[~still])) if (~still).any() else 1.0
+        fast = np.where(still, 0.25 * usual * size, fast)
+        reach = 0.3 * size
+        low = np.where(still, home - reach, low)
+        high = np.where(still, home + reach, high)
     for column, name in enumerate(log.joints):
         joint = model.joint(name)
         if model.jnt_limited[joint.id]:
             least, most = joint.range
             inside = 0.05 * (most - least)
-            low[column] = max(low[column], least + inside)
-            high[column] = min(high[column], most - inside)
+            ends = max(low[column], least + inside), min(high[column], most - inside)
+            # A joint that was at its limit all the time stays where it was.
+            if ends[0] < ends[1]:
+                low[column], high[column] = ends
     home = np.clip(home, low, high)
     step = float(np.median(np.diff(parts[0].time)))
     rate = float(np.clip(round(1.0 / step), 1, 100))
     return Workspace(log.joints, low, high, fast, home, rate)
+
+
+def usual_ways(model: mujoco.MjModel, joints: Sequence[str]) -> Array:
+    """Return what is to a joint as 1 rad is to a hinge, (joints,): 0.1 m at a slide."""
+    ids = [mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, name) for name in joints]
+    slides = [i >= 0 and model.jnt_type[i] == mujoco.mjtJoint.mjJNT_SLIDE for i in ids]
+    return np.where(slides, 0.1, 1.0)
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,12 @@ approximation; Kass and Raftery, JASA 1995).
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
 from pathlib import Path
+from zlib import crc32
 
 from rlco.gap.compare.problem import Candidate
 from rlco.gap.compare.wording import title
@@ -25,6 +27,7 @@ from rlco.gap.search.comparison import SURE
 # deviations beyond zero.
 ENOUGH = 0.5 * (2.0 * SURE) ** 2
 _PLENTY = 3.0  # difference in noise floors beyond which more is no better
+_LONGEST = 200  # bytes of a folder's name
 #: The name of an entry that says that there is none, and its words.
 NO_MOTION = "no_motion"
 NONE_TELLS = "No motion of these joints tells them apart."
@@ -59,7 +62,7 @@ class Motion:
 
     def save(self, out: str | Path) -> dict[str, object]:
         """Write the commands below ``out/record_next``; return a row for reports."""
-        folder = Path("record_next") / self.name
+        folder = Path("record_next") / _folder_name(self.name)
         if self.commands is not None:
             write_commands(
                 Path(out) / folder,
@@ -81,6 +84,14 @@ class Motion:
             "seconds": SECONDS if self.commands is not None else None,
             "commands": str(folder) if self.commands is not None else None,
         }
+
+
+def _folder_name(name: str) -> str:
+    """Return a folder's name for a motion: a joint's name in it may be a path."""
+    plain = re.sub(r"[/\\\0]", "_", name)
+    plain = plain.encode()[:_LONGEST].decode("utf-8", "ignore")
+    # Two names that are written alike have folders of their own.
+    return plain if plain == name else f"{plain}_{crc32(name.encode()):08x}"
 
 
 @dataclass(frozen=True)

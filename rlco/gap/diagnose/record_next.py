@@ -16,13 +16,24 @@ from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.problem import Candidate, Hypothesis, Problem
 from rlco.gap.compare.servo.bench import ServoBench
 from rlco.gap.compare.verdict import NamedEffect, Verdict
-from rlco.gap.diagnose.motions import KINDS, Kind, Workspace, workspace_of
+from rlco.gap.diagnose.motions import (
+    KINDS,
+    Kind,
+    Workspace,
+    usual_ways,
+    workspace_of,
+)
 from rlco.gap.diagnose.proposals import Motion as Motion
 from rlco.gap.diagnose.proposals import Trial, proposed
 from rlco.gap.logs.log import Array, Log, Recording
 from rlco.gap.search.fit import fit, library_of, with_values
 from rlco.physics.effects import EFFECTS, AppliedEffect, Parameter
-from rlco.physics.effects.targets import actuated_joint, servo_joints
+from rlco.physics.effects.targets import (
+    actuated_joint,
+    command_at,
+    is_servo,
+    servo_joints,
+)
 
 _BENCH = (
     "Record the same motions with a heavier and a lighter pendulum and with another "
@@ -48,7 +59,7 @@ def recommend(problem: Problem, verdict: Verdict) -> list[Motion]:
         if finding.rivals
         for motion in _for_rivals(problem, verdict, finding)
     ]
-    still = _still_joints(problem.log)
+    still = _still_joints(problem)
     if still or verdict.verdict == "not_identifiable":
         motions.append(_for_still_joints(problem, still))
     return list({motion.name: motion for motion in motions}.values())
@@ -176,19 +187,21 @@ def _choices(workspace: Workspace, members: Sequence[Candidate]) -> list[list[in
     return [every] if not of or len(of) == len(every) else [sorted(of), every]
 
 
-def _still_joints(log: Log) -> list[str]:
-    """Return the joints that nearly always stay within a hundredth of a radian."""
+def _still_joints(problem: Problem) -> list[str]:
+    """Return the joints that nearly always stay within 0.01 rad, or 1 mm."""
+    log = problem.log
     parts = [np.asarray(r.position) for r in log.recordings if r.position is not None]
     if not parts:
         return []
     low, high = np.quantile(np.concatenate(parts), [0.05, 0.95], axis=0)
-    ranges = high - low
-    return [name for name, s in zip(log.joints, ranges, strict=True) if s < 0.01]
+    ways = (high - low) / usual_ways(problem.model, log.joints)
+    return [name for name, s in zip(log.joints, ways, strict=True) if s < 0.01]
 
 
 def _for_still_joints(problem: Problem, still: Sequence[str]) -> Motion:
     joints = list(still) or list(problem.log.joints)
-    if not isinstance(problem, ArmRollouts):
+    servos = servo_joints(problem.model)
+    if not isinstance(problem, ArmRollouts) or not set(servos).issuperset(joints):
         return Motion("more_motion", f"Move {', '.join(joints) or 'it'} more.", ())
     workspace = workspace_of(problem.model, problem.log)
     columns = [workspace.joints.index(name) for name in joints]
@@ -223,14 +236,20 @@ def _motion(
 
 
 def _commands(problem: ArmRollouts, goals: Array) -> Array:
-    """Return the actuators' goals for joint goals, in the log's order."""
-    model, joints = problem.model, problem.log.joints
-    of = [
-        actuated_joint(model, model.actuator(name).id) for name in problem.log.actuators
-    ]
-    still = np.zeros(len(goals))
-    columns = [goals[:, joints.index(j)] if j in joints else still for j in of]
-    return np.stack(columns, axis=1)
+    """Return the actuators' commands for joint goals, in the log's order.
+
+    What drives no joint of the log, or is no servo, is sent what it was mostly sent.
+    """
+    model, log = problem.model, problem.log
+    sent = np.concatenate([np.asarray(r.command, dtype=float) for r in log.recordings])
+    found = np.tile(np.median(sent, axis=0), (len(goals), 1))
+    for column, name in enumerate(log.actuators):
+        actuator = int(model.actuator(name).id)
+        joint = actuated_joint(model, actuator)
+        if joint in log.joints and is_servo(model, actuator):
+            goal = goals[:, log.joints.index(joint)]
+            found[:, column] = command_at(model, actuator) * goal
+    return found
 
 
 def _problem_on(

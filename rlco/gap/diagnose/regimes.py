@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rlco.gap.compare.noise import measurement_noise, position_noise
 from rlco.gap.compare.problem import Hypothesis, Problem
 from rlco.gap.logs.log import Array
-from rlco.physics.effects.targets import actuator_of
+from rlco.physics.effects.targets import actuator_of, command_at
 
 Flags = NDArray[np.bool_]
 
@@ -220,9 +220,11 @@ def _force(
 ) -> Array:
     """Return the force commanded of an actuator, before its limit, (T,)."""
     gain, bias = model.actuator_gainprm[actuator], model.actuator_biasprm[actuator]
+    gear = float(model.actuator_gear[actuator, 0])
     position, speed = trace["measured"][:, column], _speed(trace)[:, column]
-    asked = gain[0] * trace["command"][:, column]
-    return np.asarray(asked + bias[0] + bias[1] * position + bias[2] * speed)
+    asked = gain[0] * command_at(model, actuator) * trace["command"][:, column]
+    pulled, braked = bias[1] * gear * position, bias[2] * gear * speed
+    return np.asarray(asked + bias[0] + pulled + braked)
 
 
 def _contact(

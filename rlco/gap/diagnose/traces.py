@@ -15,6 +15,10 @@ from rlco.gap.logs.log import Array
 
 #: What figures call the model before and after its own numbers were fitted.
 AS_IS, REFITTED = "the model as it is", "its own numbers fitted"
+#: The same of one that was calibrated, and with what earlier recordings tell of it.
+CALIBRATED, KNOWN = "the calibrated model", "as known before"
+#: What was simulated over all recordings, where that is not the nominal model.
+MODELS = {CALIBRATED: "calibrated model", KNOWN: "model as known before"}
 _SECONDS = 4.0
 _RECORDINGS = 6  # maximum number searched
 
@@ -54,7 +58,7 @@ class FigureData:
         stretches: For each named effect the window where it helps most, otherwise the
             one with the largest disagreement.
         nominal: What held-out recordings and stretches show before: the model as it
-            is, or with its own parameters fitted.
+            is, with its own parameters fitted, or with what was known.
     """
 
     before: Where
@@ -95,8 +99,16 @@ def figure_data(
         heldout_before=compared(nominal, heldout),
         heldout_after=compared(corrected, heldout) if named else None,
         stretches=tuple(best_stretches(problem, verdict)),
-        nominal=AS_IS if verdict.held_out is None else REFITTED,
+        nominal=_nominal(verdict),
     )
+
+
+def _nominal(verdict: Verdict) -> str:
+    if verdict.held_out is not None:
+        return REFITTED
+    if verdict.calibrated:
+        return CALIBRATED
+    return KNOWN if verdict.since_reference else AS_IS
 
 
 def best_stretches(problem: Problem, verdict: Verdict) -> list[Stretch]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,6 +13,7 @@ from rlco.gap.logs.formats.assemble import assemble
 from rlco.gap.logs.formats.bam_files import is_bam, read_bam
 from rlco.gap.logs.formats.csv_files import read_csv
 from rlco.gap.logs.formats.dynamixel import steps_to_degrees
+from rlco.gap.logs.formats.headers import unit_factor
 from rlco.gap.logs.formats.lerobot_folders import read_lerobot
 from rlco.gap.logs.formats.npz_files import read_npz
 from rlco.gap.logs.lengths import to_metres
@@ -27,6 +28,8 @@ from rlco.gap.model import LoadedModel
 _FORMATS = "a LeRobot folder, CSV, NPZ, a rosbag2 (.mcap, .db3) or BAM's JSON"
 _BAGS = (".mcap", ".db3")
 _SUFFIXES = (".csv", ".npz", *_BAGS, ".json")
+#: Fewer rows of joints are no motion: one to start from, and two to compare.
+_FEWEST_ROWS = 3
 
 
 def read_log(
@@ -80,7 +83,7 @@ def read_log(
         tables, rename = read_lerobot(path, model, rename)
     else:
         tables = [table for file in _files(path) for table in _read(file, model)]
-    tables = [_scaled(table, scale or {}) for table in tables]
+    tables = [_in_si(_scaled(table, scale or {}), scale or {}) for table in tables]
     tables = [steps_to_degrees(table) for table in tables]
     log = _corrected(assemble(tables, model, rename))
     angles = angles or _header_angles(tables)
@@ -113,6 +116,26 @@ def _scaled(table: Table, scale: Mapping[str, float]) -> Table:
         for column, values in table.columns
     ]
     return replace(table, columns=tuple(columns))
+
+
+def _in_si(table: Table, known: Collection[str]) -> Table:
+    """Return a table with what its headers say is in mrad, rpm or mm converted.
+
+    Args:
+        table: One recording.
+        known: Headers of columns for which a factor was given.
+    """
+    factors = {
+        column.header: unit_factor(column.header)
+        for column, _ in table.columns
+        if column.header not in known
+    }
+    other = [header for header, factor in factors.items() if factor != 1.0]
+    if not other:
+        return table
+    columns = tuple((c, v * factors.get(c.header, 1.0)) for c, v in table.columns)
+    note = f"Converted from the units in their headers: {few(other)}."
+    return replace(table, columns=columns, notes=(*table.notes, note))
 
 
 def _files(path: Path) -> list[Path]:
@@ -178,8 +201,14 @@ def _header_angles(tables: Sequence[Table]) -> str | None:
 def _corrected(log: Log) -> Log:
     timed, notes = at_read_times(log.recordings)
     corrected = [correct_timing(recording) for recording in timed]
-    parts = tuple(part for one in corrected for part in one.parts)
+    every = [part for one in corrected for part in one.parts]
     notes += [note for one in corrected for note in one.notes]
+    parts = tuple(p for p in every if p.rows >= _FEWEST_ROWS or p.pose is not None)
+    brief = [p for p in every if p.rows < _FEWEST_ROWS and p.pose is None]
+    notes += [
+        f"{p.name!r} is left out: it has {p.rows} row{'s'[: p.rows > 1]}."
+        for p in brief
+    ]
     if not parts:
         raise DataError(f"no part of the log is whole: {few(notes, 2)}")
     return replace(log, recordings=parts, notes=(*log.notes, *_few_notes(notes)))
@@ -187,4 +216,9 @@ def _corrected(log: Log) -> Log:
 
 def _few_notes(notes: Sequence[str], most: int = 12) -> list[str]:
     more = len(notes) - most
-    return [*notes[:most], *([f"{more} more notes like these."] if more > 0 else [])]
+    if more <= 0:
+        return list(notes)
+    like = (
+        "One more note like these." if more == 1 else f"{more} more notes like these."
+    )
+    return [*notes[:most], like]

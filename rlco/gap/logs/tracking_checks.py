@@ -12,7 +12,7 @@ from rlco.errors import DataError
 from rlco.gap.logs.log import Array, Log, Recording
 from rlco.gap.logs.matching import few
 from rlco.gap.model import LoadedModel
-from rlco.physics.effects.targets import actuated_joint, is_servo
+from rlco.physics.effects.targets import actuated_joint, command_at, is_servo
 
 # Half of all rows further from their command than this, of half of all joints [rad].
 _ASTRAY = 1.5
@@ -36,7 +36,10 @@ _DEAD_ZONE = {mujoco.mjtJoint.mjJNT_HINGE: 0.1, mujoco.mjtJoint.mjJNT_SLIDE: 0.0
 
 @dataclass(frozen=True)
 class _Servo:
-    """A position servo: the columns of its joint and its command, and its gear."""
+    """A position servo: the columns of its joint and its command, and its gear.
+
+    The gear is that of the command, see `command_at`.
+    """
 
     joint: int
     command: int
@@ -77,7 +80,7 @@ def _servos(log: Log, model: LoadedModel) -> list[_Servo]:
             continue
         number = model.actuators.index(name)
         joint = actuated_joint(model.model, number)
-        gear = float(model.model.actuator_gear[number, 0])
+        gear = command_at(model.model, number)
         if is_servo(model.model, number) and joint in log.joints and gear:
             found.append(_Servo(log.joints.index(joint), column, gear))
     return found

@@ -164,8 +164,17 @@ def calibration_section(
     summary: Summary | None,
     beyond: Sequence[NamedEffect],
     model: mujoco.MjModel | None,
+    *,
+    sizes: bool,
 ) -> str:
-    """Return the calibrated numbers as HTML; empty without a calibration."""
+    """Return the calibrated numbers as HTML; empty without a calibration.
+
+    Args:
+        summary: The calibration.
+        beyond: What it found beyond what is usual.
+        model: The model without it.
+        sizes: Whether the disagreement without and with it is listed, too.
+    """
     if summary is None or model is None:
         return ""
     if summary.calibration is None:
@@ -185,10 +194,12 @@ def calibration_section(
             ]
         )
     fitted = len(summary.calibration.amounts)
-    told = f"{len(beyond)} effects are listed above as found by it." if beyond else ""
+    count = "1 effect is" if len(beyond) == 1 else f"{len(beyond)} effects are"
+    told = f"{count} listed above as found by it." if beyond else ""
     return (
         "<h2>Calibration</h2>\n"
-        f"<p>{fitted} numbers that are always a little wrong were fitted under their "
+        + (_sizes_table(summary) if sizes else "")
+        + f"<p>{fitted} numbers that are always a little wrong were fitted under their "
         f"priors before the search. {escape(told)} The furthest from the model:</p>\n"
         + html.table(
             ["number", "", "fitted, 90 %", "standard deviations of its prior", ""], rows
@@ -197,6 +208,16 @@ def calibration_section(
         "half a logarithm. A number by itself may be undetermined where another makes "
         "up for it.</p>"
     )
+
+
+def _sizes_table(summary: Summary) -> str:
+    """Return each channel's disagreement without and with a calibration as HTML."""
+    both = zip(summary.nominal, summary.calibrated, strict=True)
+    rows = [
+        [escape(name), *(escape(amount(float(size), unit)) for size in sizes)]
+        for name, unit, sizes in zip(summary.channels, summary.units, both, strict=True)
+    ]
+    return html.table(["all recordings", "model as it is", "calibrated"], rows)
 
 
 def _lacking_section(summary: Summary, model: mujoco.MjModel) -> str:

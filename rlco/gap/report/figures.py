@@ -9,6 +9,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 
 from rlco.gap.compare.wording import number, scale_of
@@ -188,6 +189,8 @@ def trace_figure(stretch: Stretch, heading: str, nominal: str = AS_IS) -> Figure
 def png(figure: Figure) -> bytes:
     """Return a figure as PNG, 1150 px wide."""
     buffer = io.BytesIO()
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)  # names of joints are no formulas
     figure.savefig(buffer, format="png", dpi=1150 / WIDTH, facecolor="white")
     return buffer.getvalue()
 

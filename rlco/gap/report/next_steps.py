@@ -15,6 +15,10 @@ _USE = (
     "Use the corrected model: model.xml in MuJoCo, effects.yaml for training "
     '(make_env(task, domain="effects.yaml")), which also has what MJCF cannot express.'
 )
+_CALIBRATED = (
+    "Use the calibrated model, which reproduces these recordings: model.xml, "
+    "effects.yaml. What was fitted is listed below."
+)
 _RECORD = "Record the motions proposed below, add them to the data, and run this again."
 _OTHERWISE: Mapping[str, str] = {
     "no_gap": "Nothing: the model reproduces these recordings.",
@@ -85,7 +89,8 @@ def next_steps(
                 "see below."
             )
     else:
-        steps.append(_OTHERWISE[verdict.verdict])
+        calibrated = verdict.calibrated and verdict.verdict == "no_gap"
+        steps.append(_CALIBRATED if calibrated else _OTHERWISE[verdict.verdict])
         if motions:
             steps.append(_RECORD)
     if verdict.free_form is not None:

@@ -16,7 +16,7 @@ from rlco.gap.compare.problem import Instability
 from rlco.gap.compare.stability.instability import changed_words
 from rlco.gap.compare.verdict import NamedEffect, Verdict
 from rlco.gap.compare.wording import amount, capital, in_words, plain, title, title_of
-from rlco.gap.diagnose.traces import FigureData
+from rlco.gap.diagnose.traces import MODELS, FigureData
 from rlco.gap.logs.log import Log
 from rlco.gap.report.calibration import calibration_section, reference_section
 from rlco.gap.report.compared import comparison_lines
@@ -28,9 +28,11 @@ from rlco.gap.report.next_steps import next_steps
 from rlco.gap.report.verdict_text import (
     MEANING,
     PLAIN_VERDICTS,
+    before_of,
     certainty,
     headline,
     is_loud,
+    meaning,
     numbers_of,
     place,
     worse,
@@ -95,7 +97,12 @@ def page(source: Page) -> str:
         _where(source),
         _unexplained(source),
         free_form_section(source.verdict.free_form, source.verdict.gap.unit),
-        calibration_section(source.calibration, source.beyond, source.model),
+        calibration_section(
+            source.calibration,
+            source.beyond,
+            source.model,
+            sizes=source.before is None,
+        ),
         _next(source),
         _trail(source),
         _log(source),
@@ -168,7 +175,8 @@ def _header(source: Page) -> str:
     before, after = gap.before_heldout, gap.after_heldout
     if held_out is not None:
         before, after = held_out.before, held_out.after
-    cards = [("before", amount(before, gap.unit))]
+    first = "calibrated" if verdict.calibrated else "before"
+    cards = [(first, amount(before, gap.unit))]
     if verdict.effects:
         cards.append(("after", amount(after, gap.unit)))
     floor = "not known" if verdict.since_reference else "noise floor"
@@ -180,7 +188,7 @@ def _header(source: Page) -> str:
     )
     sure = html.paragraphs(certainty(verdict))
     if verdict.complete:
-        sure += f'<p class="quiet">{escape(MEANING[verdict.verdict])}</p>'
+        sure += f'<p class="quiet">{escape(meaning(verdict))}</p>'
     now = " ".join(next_steps(verdict, source.record_next, source.comparisons))
     words = [*comparison_lines(source.comparisons), *source.compared]
     words = [line for line in words if line not in now]
@@ -205,7 +213,7 @@ def _effects(source: Page) -> str:
             return ""
         return (
             "<h2>The closest explanations</h2>\n"
-            + html.table(["effect", "share of the held-out gap it would explain"], rows)
+            + html.table(["effect", "share of the error it would explain"], rows)
             + '<p class="quiet">Tried and rejected: none of these is the answer.</p>'
         )
     known = source.known or source.model
@@ -298,17 +306,20 @@ def _film(film: Film | str) -> str:
 
 def _where(source: Page) -> str:
     before, verdict = source.figures.before, source.verdict
-    maps = [("nominal model", before.heat)]
+    when = capital(before_of(verdict))
+    model = MODELS.get(source.figures.nominal, "nominal model")
+    maps = [(model, before.heat)]
     if source.figures.after is not None:
         maps.append(("corrected", source.figures.after.heat))
     figure = heat_map(
         before.channels, before.units, before.noise, maps, verdict.heldout
     )
-    parts = ["<h2>Where it disagreed</h2>", cell_table(before), contact_line(before)]
+    table = cell_table(before, when)
+    parts = ["<h2>Where it disagreed</h2>", table, contact_line(before)]
     if before.diverged > 0:
         parts.append(
-            f"<p>{100 * before.diverged:.1f} % of the simulation with the nominal "
-            "model diverged, and is excluded here.</p>"
+            f"<p>{100 * before.diverged:.1f} % of the simulation with the {model} "
+            "diverged, and is excluded here.</p>"
         )
     return "\n".join([*parts, _image(figure), regime_table(before)])
 

@@ -51,6 +51,36 @@ MEANING = {
 }
 
 
+#: The same where the model was calibrated to these recordings before.
+_MEANING_CALIBRATED = {
+    "no_gap": "No single effect explains more of what the calibration left than what "
+    "that leaves open would.",
+    "named": "One explanation fits what the calibration left in held-out recordings, "
+    "and all others do clearly worse.",
+    "unexplained": "There is a disagreement that the calibration left, and nothing in "
+    "the library explains it.",
+}
+#: When a disagreement was computed.
+BEFORE_FITS = "before any fit"
+AFTER_CALIBRATION = "after the calibration"
+BESIDE_KNOWN = "beside what was known before"
+
+
+def meaning(verdict: Verdict) -> str:
+    """Return what a verdict means, in one sentence."""
+    kind = verdict.verdict
+    if verdict.calibrated and kind in _MEANING_CALIBRATED:
+        return _MEANING_CALIBRATED[kind]
+    return MEANING[kind]
+
+
+def before_of(verdict: Verdict) -> str:
+    """Return when the disagreement before was computed."""
+    if verdict.calibrated:
+        return AFTER_CALIBRATION
+    return BESIDE_KNOWN if verdict.since_reference else BEFORE_FITS
+
+
 def numbers_of(
     finding: NamedEffect, model: mujoco.MjModel | None = None
 ) -> list[tuple[str, str, str]]:
@@ -111,8 +141,13 @@ def place(cell: Cell) -> str:
     return cell.target if cell.regime == EVERYWHERE else f"{cell.target}, {cell.regime}"
 
 
-def where_lines(before: Where) -> list[str]:
-    """Return where the nominal model disagrees most, in a few lines."""
+def where_lines(before: Where, when: str = BEFORE_FITS) -> list[str]:
+    """Return where the model disagrees most, in a few lines.
+
+    Args:
+        before: Where it does.
+        when: When that was computed.
+    """
     units = dict(zip(before.channels, before.units, strict=True))
     cells = before.informative[:4]
     lines = []
@@ -121,7 +156,7 @@ def where_lines(before: Where) -> list[str]:
     elif not cells:
         lines.append("no disagreement")
     if cells:
-        lines.append("before any fit, the disagreement is")
+        lines.append(f"{when}, the disagreement is")
     for cell in cells:
         size = amount(cell.rms, units[cell.target])
         lines.append(f"  {100 * cell.share:3.0f} % in {place(cell)} ({size})")
@@ -153,15 +188,17 @@ def headline(verdict: Verdict, where: Where | None = None) -> str:
         return f"{_first(verdict)}{what}: {effects}{better}."
     if not verdict.complete:
         return f"The search was stopped before naming anything: {residual} remain{at}."
+    model = "The calibrated model" if verdict.calibrated else "The model"
     if verdict.verdict == "no_gap":
-        return f"The model agrees with the recordings: {residual} on held-out ones."
+        return f"{model} agrees with the recordings: {residual} on held-out ones."
     if verdict.verdict == "no_change":
         return f"Nothing changed: {residual} on held-out recordings."
     if verdict.verdict == "no_improvement":
         return f"Nothing in the library improves the model: {residual} remain{at}."
     if verdict.verdict == "not_identifiable":
         return f"These recordings do not show what is missing: {residual} remain{at}."
-    return f"Model and log disagree by {residual}{at}, and nothing here explains it."
+    both = f"{model} and the log" if verdict.calibrated else "Model and log"
+    return f"{both} disagree by {residual}{at}, and nothing here explains it."
 
 
 def _first(verdict: Verdict) -> str:

@@ -13,8 +13,13 @@ from rlco.reporting.html import bar, definitions, table
 _CELLS = 8
 
 
-def cell_table(before: Where) -> str:
-    """Return the most informative cells as a table, best first."""
+def cell_table(before: Where, when: str = "Before any fit") -> str:
+    """Return the most informative cells as a table, best first.
+
+    Args:
+        before: Where simulation and measurement disagree.
+        when: When that was computed, as a sentence begins.
+    """
     units = dict(zip(before.channels, before.units, strict=True))
     rows = [
         [
@@ -30,7 +35,7 @@ def cell_table(before: Where) -> str:
         return "<p>Nowhere above the noise.</p>"
     head = ["where", "share of the error", "of the data", "size", "times the noise"]
     return table(head, rows) + (
-        '<p class="quiet">Before any fit, over all recordings. Rows with much of the '
+        f'<p class="quiet">{when}, over all recordings. Rows with much of the '
         "error in little of the time come first. Regimes overlap, so shares need not "
         "add up.</p>"
     )
@@ -53,7 +58,8 @@ def contact_line(before: Where) -> str:
 def regime_table(before: Where) -> str:
     """Return each channel's disagreement in each regime as a table."""
     cells = {(cell.target, cell.regime): cell for cell in before.cells}
-    largest = max(cell.size for cell in before.cells)
+    # Of a model that recorded the log itself nothing is left.
+    largest = max(cell.size for cell in before.cells) or 1.0
     names = [EVERYWHERE, *REGIMES]
     names = [name for name in names if any(regime == name for _, regime in cells)]
     rows = [

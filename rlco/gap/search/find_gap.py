@@ -30,6 +30,7 @@ from rlco.gap.search.steps.sensitivity import rewhiten
 from rlco.gap.search.steps.start import split, start
 from rlco.gap.search.steps.uncommon import uncommon
 from rlco.gap.search.verdict import NOTHING_SEARCHED, conclude
+from rlco.physics.effects.apply import library_effect
 
 Progress = Callable[[str, float], None]
 
@@ -57,7 +58,11 @@ def find_gap(
     Returns:
         The verdict; with ``complete=False`` and the best result so far after Ctrl-C.
         ``unstable_model`` where the model's simulation diverges: nothing is searched.
+
+    Raises:
+        UnknownNameError: `exclude` names no effect of the library.
     """
+    check_names(exclude)
     began = time.perf_counter()
     try:
         if isinstance(problem, ServoBench):
@@ -73,6 +78,16 @@ def find_gap(
         return conclude(state, complete=complete, seconds=time.perf_counter() - began)
     except KeyboardInterrupt:  # it was to end the search, and that has ended
         return conclude(state, complete=complete, seconds=time.perf_counter() - began)
+
+
+def check_names(exclude: Collection[str]) -> None:
+    """Check that effects to leave out are some of the library.
+
+    Raises:
+        UnknownNameError: One is none.
+    """
+    for name in exclude:
+        library_effect(name)
 
 
 def search(first: State, on_step: Progress | None = None) -> tuple[State, bool]:

@@ -26,7 +26,13 @@ from rlco.physics.effects.command import (
     VELOCITY_LIMIT,
 )
 from rlco.physics.effects.contact import CONTACT_FRICTION, CONTACT_STIFFNESS
-from rlco.physics.effects.effect import AppliedEffect, Effect, Evidence, Parameter
+from rlco.physics.effects.effect import (
+    AppliedEffect,
+    Effect,
+    Evidence,
+    Parameter,
+    with_units_of_slides,
+)
 from rlco.physics.effects.friction import (
     COULOMB_FRICTION,
     DIRECTIONAL_FRICTION,
@@ -102,7 +108,9 @@ _LIBRARY = (
     FIXTURE_FRICTION,
     CONTROLLER_STIFFNESS,
 )
-EFFECTS: dict[str, Effect] = {effect.name: effect for effect in _LIBRARY}
+EFFECTS: dict[str, Effect] = {
+    effect.name: with_units_of_slides(effect) for effect in _LIBRARY
+}
 
 
 def register(effect: Effect) -> None:
@@ -123,7 +131,7 @@ def register(effect: Effect) -> None:
     for law in (effect.friction, effect.torque):
         if law is not None:
             address_of_law(law)
-    EFFECTS[effect.name] = effect
+    EFFECTS[effect.name] = with_units_of_slides(effect)
 
 
 def searched(evidence: Evidence, *, uncommon: bool = False) -> list[Effect]:

@@ -25,6 +25,7 @@ from rlco.physics.effects.step_forces import LawAt, StepForces, table_of
 from rlco.physics.effects.targets import (
     ONE_AXIS,
     actuator_of,
+    command_at,
     dof_of,
     driven_joints,
     joints,
@@ -225,7 +226,14 @@ def apply_to_commands(
         if change is None:
             continue
         column = None if effect.target is None else actuator_of(model, effect.target)
+        # Behind a gear a command is not in units of the joint, which parameters are.
+        unit = 1.0 if column is None else command_at(model, column)
+        if unit not in (0.0, 1.0):
+            commands = commands.copy()
+            commands[:, column] /= unit
         commands = change(commands, column, model.opt.timestep, effect.values)
+        if unit not in (0.0, 1.0):
+            commands[:, column] *= unit
     return commands
 
 

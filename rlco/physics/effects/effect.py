@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import mujoco
@@ -221,6 +221,48 @@ class AppliedEffect:
     def values(self) -> Array:
         """The parameter values in their order, (parameters,)."""
         return np.array(list(self.parameters.values()), dtype=float)
+
+
+#: Units at a hinge, and what they are at a slide.
+_AT_SLIDES = {
+    "rad": "m",
+    "rad/s": "m/s",
+    "N m": "N",
+    "N m s/rad": "N s/m",
+    "N m/rad": "N/m",
+    "N m/rad^3": "N/m^3",
+    "rad/(N m)": "m/N",
+    "1/(N m)": "1/N",
+    "kg m^2": "kg",
+}
+
+
+def with_units_of_slides(effect: Effect) -> Effect:
+    """Return an effect whose parameters at a slide have the units of one.
+
+    Effects are declared with the units of a hinge, such as N m, which is N at a slide.
+
+    Args:
+        effect: As declared.
+    """
+    declared = effect.parameters
+
+    def parameters(model: mujoco.MjModel, target: str | None) -> tuple[Parameter, ...]:
+        found = declared(model, target)
+        joint = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_JOINT, target or "")
+        if joint < 0 or model.jnt_type[joint] != mujoco.mjtJoint.mjJNT_SLIDE:
+            return found
+        return tuple(_at_slide(parameter) for parameter in found)
+
+    return replace(effect, parameters=parameters)
+
+
+def _at_slide(parameter: Parameter) -> Parameter:
+    present = parameter.present
+    if present is not None:
+        present = replace(present, unit=_AT_SLIDES.get(present.unit, present.unit))
+    unit = _AT_SLIDES.get(parameter.unit, parameter.unit)
+    return replace(parameter, unit=unit, present=present)
 
 
 def require(found: bool, kind: str, target: str | None, known: list[str]) -> None:

@@ -82,7 +82,8 @@ def write_effects(
         path: The file.
         effects: The effects.
         names: See `EffectsFile`.
-        units: By effect and parameter, for readers of the file.
+        units: By effect, as ``name`` or ``name target``, and parameter, for readers of
+            the file.
         sensors: Entry on sensors; None: no entry.
         look: Entry on the look, or its name; None: no entry.
         sample: Entry on parameter sets; None: no entry.
@@ -98,7 +99,8 @@ def write_effects(
     for effect in effects:
         row: dict[str, Any] = {"name": effect.name, "target": effect.target}
         row["parameters"] = {k: float(v) for k, v in effect.parameters.items()}
-        found = (units or {}).get(effect.name, {})
+        place = f"{effect.name} {effect.target}"
+        found = (units or {}).get(place, (units or {}).get(effect.name, {}))
         if found:
             row["units"] = dict(found)
         rows.append(row)

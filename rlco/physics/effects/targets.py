@@ -40,6 +40,26 @@ def is_servo(model: mujoco.MjModel, actuator: int) -> bool:
     return bool(affine and stiffness > 0)
 
 
+def command_at(model: mujoco.MjModel, actuator: int) -> float:
+    """Return a servo's command per unit of its joint's position; 1 of other actuators.
+
+    It is 1 but for a gear, or a gain that is not the stiffness.
+
+    Example:
+        >>> model = mujoco.MjModel.from_xml_string(
+        ...     "<mujoco><worldbody><body><joint name='j'/><geom size='0.1'/></body>"
+        ...     "</worldbody><actuator><position joint='j' kp='40' gear='-2'/>"
+        ...     "</actuator></mujoco>")
+        >>> command_at(model, 0)
+        -2.0
+    """
+    gain = float(model.actuator_gainprm[actuator, 0])
+    if not is_servo(model, actuator) or gain == 0.0:
+        return 1.0
+    stiffness = -float(model.actuator_biasprm[actuator, 1])
+    return float(model.actuator_gear[actuator, 0]) * (stiffness / gain)
+
+
 def actuated_joint(model: mujoco.MjModel, actuator: int) -> str | None:
     """Return the name of the joint that an actuator drives, None if it drives none."""
     kind = model.actuator_trntype[actuator]

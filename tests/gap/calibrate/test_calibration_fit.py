@@ -11,6 +11,7 @@ from hidden_arms import TURNTABLES, TWO_LINKS, record
 from recorded_torques import XML, record_torques, wrong_everywhere
 
 from rlco.gap.calibrate.fit import Calibration, calibrate
+from rlco.gap.calibrate.numbers import Number
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.torque.torque_log import TorqueLog
 
@@ -130,3 +131,16 @@ def test_an_arm_at_its_limits_is_fitted_along_short_rollouts_first() -> None:
     assert fitted.cost_before > 1000.0
     # 2.6; along whole recordings alone, steps end at 44.
     assert fitted.cost < 5.0
+
+
+def test_combinations_that_were_not_fitted_keep_their_prior() -> None:
+    """Of three numbers only the mean of the first two shows: of variance 1 / 100."""
+    basis = np.array([[1.0], [1.0], [0.0]]) / np.sqrt(2.0)
+    numbers = tuple(Number("link_parameters", "link", name, 0.1) for name in "xyz")
+    fitted = Calibration(
+        numbers, np.zeros(3), basis, np.array([[198.0]]), 2.0, 1000, 9.0, 1.0
+    )
+    # By hand: the inverse of 99 m m' + 1, with m along the mean.
+    by_hand = np.linalg.inv(99.0 * basis @ basis.T + np.eye(3))
+    np.testing.assert_allclose(fitted.covariance, by_hand, atol=1e-12)
+    np.testing.assert_allclose(fitted.deviation, [0.505**0.5, 0.505**0.5, 1.0])

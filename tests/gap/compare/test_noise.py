@@ -119,3 +119,20 @@ def test_times_that_are_not_known_add_noise_in_motion() -> None:
     assert doubted[0] == pytest.approx(known[0], rel=0.01)
     # 2 rad/s at most, 2 / sqrt(2) in the mean square, times a millisecond.
     assert doubted[1] == pytest.approx(np.hypot(known[1], 2e-3 / np.sqrt(2)), rel=0.02)
+
+
+def test_a_reading_that_never_changes_is_as_noisy_as_the_others() -> None:
+    """Its own noise, that of numbers alone, would outweigh every other joint."""
+    time = np.arange(2000) / 50
+    columns = [noisy(swing(time)), 0.0 * time, noisy(swing(time), 1, 3 * TRUE)]
+    recordings = [(time, np.column_stack(columns)), (time, np.column_stack(columns))]
+    deviation = measurement_noise(recordings).deviation
+    assert deviation[0] == pytest.approx(TRUE, rel=0.2)
+    assert deviation[1] == pytest.approx(2 * TRUE, rel=0.2)
+    # What stands at another place in each recording does not change there, either.
+    recordings[1] = (time, recordings[1][1] + np.array([0.0, 1.0, 0.0]))
+    moved = measurement_noise(recordings)
+    assert moved.deviation[1] == pytest.approx(2 * TRUE, rel=0.2)
+    assert moved.quantum[1] == 0.0
+    alone = measurement_noise([(time, np.full((2000, 1), 0.5))]).deviation
+    assert 0.0 < alone[0] < 1e-6

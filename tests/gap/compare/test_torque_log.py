@@ -282,6 +282,7 @@ def test_torques_of_another_sign_or_unit_are_converted_and_noted(
 
 WRONG = {
     "after the gear": 57.0 * taken(),
+    "shoulder moves and its torque never changes": 0.0 * taken() + 3.0,
     "without gravity": taken() - MASS * LENGTH * GRAVITY * np.cos(ANGLE),
 }
 
@@ -290,6 +291,13 @@ WRONG = {
 def test_torques_of_a_convention_that_cannot_be_undone_are_refused(words: str) -> None:
     with pytest.raises(DataError, match=words):
         as_modelled(WRONG[words])
+
+
+def test_a_joint_at_rest_may_have_a_torque_that_never_changes() -> None:
+    log = arm_log(0.0 * taken() + 3.0, 2)
+    still = [replace(r, position=np.full_like(r.position, 0.5)) for r in log.recordings]
+    log = replace(log, recordings=tuple(still))
+    assert torque_problem(mujoco.MjSpec.from_string(ARM), log).log.notes == ()
 
 
 @pytest.mark.parametrize("name", BY_HAND)

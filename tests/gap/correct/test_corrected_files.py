@@ -12,7 +12,12 @@ from log_cases import urdf
 
 from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.compare.verdict import Gap, NamedEffect, Value, Verdict
-from rlco.gap.correct.corrected_files import corrected_xml, write_corrected
+from rlco.gap.correct.corrected_files import (
+    corrected_xml,
+    with_notes,
+    write_corrected,
+)
+from rlco.gap.correct.xml_text import parse
 from rlco.gap.model import LoadedModel, load_model
 from rlco.physics.effects import AppliedEffect
 from rlco.physics.effects.apply import apply_to_spec
@@ -316,3 +321,9 @@ def test_a_corrected_urdf_weighs_what_its_links_weigh(tmp_path: Path) -> None:
         tool = 0.3 * 9.81 * (0.3 * np.cos(lower) + 0.02 * np.sin(lower))
         link = 0.5 * 9.81 * (0.1 * np.cos(lower) + 0.02 * np.sin(lower))
         assert data.qfrc_bias[1] == pytest.approx(-(tool + link), rel=1e-6)
+
+
+def test_two_dashes_in_a_name_end_no_comment() -> None:
+    text = with_notes("<mujoco>\n</mujoco>\n", ["not in this file: lag at a--b---"])
+    assert "lag at a- -b- - - -->" in text
+    assert parse(text).tag == "mujoco"

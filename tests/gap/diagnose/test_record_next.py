@@ -29,6 +29,7 @@ from rlco.physics.effects import AppliedEffect
 
 NOISE = 4e-4
 JOINTS = ("shoulder", "elbow")
+UNSEEN = "not_identifiable"
 DAMPING = AppliedEffect("viscous_damping", "elbow", {"damping": 0.8})
 LAG = Candidate("actuator_lag", "elbow")
 
@@ -136,6 +137,36 @@ def test_a_robots_room_is_what_its_log_shows() -> None:
     assert np.degrees(workspace.high[1]) == pytest.approx(14.0)
     assert workspace.speed[1] == pytest.approx(0.25 * workspace.speed[0])
     assert workspace.rate == 50.0
+
+
+def test_a_slide_that_did_not_move_goes_centimetres() -> None:
+    xml = ARM.replace('name="elbow" axis', 'name="elbow" type="slide" axis', 1)
+    model = mujoco.MjModel.from_xml_string(xml)
+    time = np.arange(500) / 50
+    swing = np.sin(time)
+    # A centimetre is a motion of a slide, as a tenth of a radian is one of a hinge.
+    for reach, far in ((0.0, 0.03), (0.01, 0.01)):
+        positions = np.column_stack([swing, reach * swing])
+        log = Log((Recording("a", time, positions),), JOINTS, JOINTS)
+        workspace = workspace_of(model, log)
+        assert workspace.high[1] == pytest.approx(far, rel=0.01)
+        assert workspace.low[1] == pytest.approx(-far, rel=0.01)
+        assert workspace.speed[1] <= 0.026
+
+
+def test_a_joint_that_was_at_its_limit_stays_where_it_was() -> None:
+    limited = ARM.replace('name="elbow"', 'name="elbow" range="-90 90"', 1)
+    model = mujoco.MjModel.from_xml_string(limited)
+    time = np.arange(500) / 50
+    near = 1.54 + 0.03 * np.sin(time)
+    log = Log((Recording("a", time, np.column_stack([near, near])),), JOINTS, JOINTS)
+    workspace = workspace_of(model, log)
+    assert workspace.low[1] == pytest.approx(1.51, abs=1e-3)
+    assert workspace.high[1] == pytest.approx(1.57, abs=1e-3)
+    for kind in KINDS:
+        goals = kind.make(workspace, [1])[:, 1]
+        assert goals.min() >= 1.509
+        assert goals.max() <= 1.571
 
 
 # -- Which motion --------------------------------------------------------------
@@ -340,3 +371,54 @@ def test_commands_are_not_written_over(tmp_path: Path) -> None:
     write_commands(folder, np.zeros((5, 1)), names=["j"], fps=10, task="rest")
     with pytest.raises(OutputExistsError):
         write_commands(folder, np.zeros((5, 1)), names=["j"], fps=10, task="rest")
+
+
+def test_commands_are_those_of_the_actuators() -> None:
+    """Through the gear of a servo; what is no joint's servo is sent as in the log."""
+    geared = ARM.replace('joint="elbow" kp="40"', 'joint="elbow" gear="-2" kp="10"')
+    feed = '<actuator><velocity name="feed" joint="elbow" kv="1e-3"/>'
+    time, goals = slow_commands()
+    sent = np.column_stack([np.full(len(time), 7.0), goals[:, 0], -2.0 * goals[:, 1]])
+    found = []
+    for xml, names, commands in (
+        (ARM, JOINTS, goals),
+        (geared.replace("<actuator>", feed), ("feed", *JOINTS), sent),
+    ):
+        part = Recording("a", time, goals, np.zeros_like(goals), commands)
+        spec = mujoco.MjSpec.from_string(xml)
+        problem = ArmRollouts(spec, Log((part,), JOINTS, names), np.full(2, NOISE))
+        (motion,) = recommend(problem, replace(ambiguous(()), verdict=UNSEEN))
+        assert motion.commands is not None
+        found.append(motion.commands)
+    plain, other = found
+    assert np.ptp(plain, axis=0).min() > 0.3
+    np.testing.assert_allclose(other[:, 1:], plain * [1.0, -2.0])
+    assert (other[:, 0] == 7.0).all()
+
+
+def test_no_commands_are_proposed_for_motors() -> None:
+    xml = ARM.replace('<position name="elbow" joint="elbow" kp="40" kv="2"', "<motor")
+    xml = xml.replace("<motor", '<motor name="elbow" joint="elbow"')
+    time, goals = slow_commands()
+    part = Recording("a", time, goals, np.zeros_like(goals), goals)
+    spec = mujoco.MjSpec.from_string(xml)
+    problem = ArmRollouts(spec, Log((part,), JOINTS, JOINTS), np.full(2, NOISE))
+    (motion,) = recommend(problem, replace(ambiguous(()), verdict=UNSEEN))
+    # Goals of positions would be torques to it.
+    assert motion.commands is None
+    assert motion.how == "Move shoulder, elbow more."
+
+
+def test_commands_stay_in_their_folder_whatever_a_joint_is_called(
+    tmp_path: Path,
+) -> None:
+    out = tmp_path / "out"
+    goals = np.zeros((40, 1))
+    rows = [
+        Motion(name, "", (), commands=goals, names=("a",), fps=20).save(out)
+        for name in ("sweep_/../../../far", "sweep__.._.._.._far", "sweep_" + 200 * "ö")
+    ]
+    folders = [out / str(row["commands"]) for row in rows]
+    assert [one.parent for one in folders] == [out / "record_next"] * 3
+    assert all((one / "meta" / "info.json").is_file() for one in folders)
+    assert [one.name for one in tmp_path.iterdir()] == ["out"]

@@ -308,3 +308,33 @@ def test_folders_without_one_kind_of_log(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", time=TIME)
     with pytest.raises(DataError, match=r"1 .csv, 1 .npz"):
         read_log(tmp_path, model)
+
+
+@pytest.mark.parametrize("rows", [1, 2])
+def test_recordings_without_motion_are_left_out(tmp_path: Path, rows: int) -> None:
+    columns = arm_columns(TIME, POSITION, COMMAND)
+    (logs := tmp_path / "logs").mkdir()
+    write_csv(logs / "a.csv", columns)
+    write_csv(logs / "b.csv", {k: v[:rows] for k, v in columns.items()})
+    log = read_log(logs, arm(tmp_path))
+    assert [one.name for one in log.recordings] == ["a"]
+    assert any(n.startswith(f"'b' is left out: it has {rows} row") for n in log.notes)
+    with pytest.raises(DataError, match="'b' is left out"):
+        read_log(logs / "b.csv", arm(tmp_path))
+
+
+@pytest.mark.parametrize(
+    ("count", "told"),
+    [(12, []), (13, ["One more note like these."]), (14, ["2 more notes like these."])],
+)
+def test_notes_that_are_not_listed_are_counted(
+    tmp_path: Path, count: int, told: list[str]
+) -> None:
+    columns = arm_columns(TIME, POSITION, COMMAND)
+    (logs := tmp_path / "logs").mkdir()
+    write_csv(logs / "a.csv", columns)
+    for number in range(count):
+        brief = {name: values[:1] for name, values in columns.items()}
+        write_csv(logs / f"b{number}.csv", brief)
+    notes = read_log(logs, arm(tmp_path)).notes
+    assert [note for note in notes if note.endswith("like these.")] == told

@@ -120,6 +120,39 @@ def test_headers_may_tell_the_unit(tmp_path: Path) -> None:
     )
 
 
+def test_other_units_in_headers_are_converted(tmp_path: Path) -> None:
+    time, angles, sent = motion()
+    speeds = np.gradient(angles, time, axis=0)
+    columns = {"time": time}
+    for i, name in enumerate(JOINTS):
+        columns[f"{name} [mrad]"] = 1e3 * angles[:, i]
+        columns[f"vel_{name} [rpm]"] = speeds[:, i] * 60.0 / (2.0 * np.pi)
+        columns[f"cmd_{name} (rev)"] = sent[:, i] / (2.0 * np.pi)
+    file = write_csv(tmp_path / "a.csv", columns)
+    log = read_log(file, arm(tmp_path))
+    (found,) = log.recordings
+    for channel, truth in (
+        (found.position, angles),
+        (found.velocity, speeds),
+        (found.command, sent),
+    ):
+        np.testing.assert_allclose(channel, truth, atol=1e-6)
+    (note,) = [note for note in log.notes if "units in their headers" in note]
+    assert f"{JOINTS[0]} [mrad], vel_{JOINTS[0]} [rpm]" in note
+    # A factor that is given is the only one.
+    known = {name: 1e-3 for name in columns if "[mrad]" in name}
+    again = read_log(file, arm(tmp_path), scale=known).recordings[0].position
+    np.testing.assert_allclose(again, angles, atol=1e-6)
+
+
+def test_a_pose_in_millimetres_is_converted(tmp_path: Path) -> None:
+    time = np.arange(300) * 0.02
+    columns = {"time": time} | {f"{axis} [mm]": 1e3 * time for axis in "xyz"}
+    columns |= {"qw": 1 + 0 * time} | {f"q{axis}": 0 * time for axis in "xyz"}
+    pose = read_log(write_csv(tmp_path / "a.csv", columns)).recordings[0].pose
+    np.testing.assert_allclose(pose[:, 0], time, atol=1e-9)
+
+
 def test_another_word_is_refused() -> None:
     with pytest.raises(UnknownNameError, match="did you mean 'degrees'"):
         to_radians(log(), angles="degree")

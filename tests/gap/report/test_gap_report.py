@@ -18,7 +18,7 @@ from rlco.gap.compare.verdict import FreeForm, NamedEffect, Value, Verdict
 from rlco.gap.diagnose.regimes import label_regimes
 from rlco.gap.diagnose.traces import best_stretches, figure_data
 from rlco.gap.diagnose.where import where
-from rlco.gap.report.figures import gap_bars, heat_map, trace_figure
+from rlco.gap.report.figures import gap_bars, heat_map, png, trace_figure
 from rlco.gap.report.free_form import free_form_figure, free_form_section
 from rlco.gap.report.next_steps import next_steps
 from rlco.gap.report.report_html import Page, page
@@ -134,6 +134,8 @@ def test_the_page_names_nothing_where_nothing_was_named(problem: Arm) -> None:
     read = Read(html(problem, nothing_named(problem)))
     assert "Missing from the model" not in read.text
     assert "armature at elbow 20 %" in read.text
+    # That is of all recordings, see `closest` in docs/gap.md.
+    assert "share of the error it would explain" in read.text
     assert "none of these is the answer" in read.text
     assert len(read.alts) == 3  # one trace: where the disagreement is largest
 
@@ -200,6 +202,47 @@ def test_each_verdict_has_its_own_words(problem: Arm, kind: str) -> None:
     others = [k for k in MEANING if k not in (kind, "named", "ambiguous")]
     assert words not in [headline(nothing_named(problem, k), before) for k in others]
     assert f"{1e3 * nothing_named(problem).gap.before_heldout:.1f} mrad" in words
+
+
+def test_what_a_calibration_left_is_not_said_of_the_model_as_it_is(
+    problem: Arm,
+) -> None:
+    plain = nothing_named(problem, "no_gap")
+    for verdict, model, when, todo in (
+        (plain, "nominal model", "Before any fit", "Nothing: the model"),
+        (
+            replace(plain, calibrated=True),
+            "calibrated model",
+            "After the calibration",
+            "Use the calibrated model",
+        ),
+    ):
+        labels = label_regimes(problem)
+        figures = figure_data(problem, verdict, where(problem, labels=labels), labels)
+        read = Read(page(Page(verdict, figures, problem.log)))
+        assert f"What to do now {todo}" in read.text
+        assert f"{when}, over all recordings" in read.text
+        assert headline(verdict).startswith(f"The {model.removeprefix('nominal ')}")
+        shown = "the calibrated model" if verdict.calibrated else "the model as it is"
+        assert figures.nominal == shown
+    named_beside = replace(named(problem), since_reference=True)
+    figures = figure_data(problem, named_beside, figures.before, labels)
+    assert figures.nominal == "as known before"
+
+
+def test_a_log_of_the_model_itself_has_a_page(problem: Arm) -> None:
+    tracks = [problem.traces(Hypothesis(), i)["simulated"] for i in range(3)]
+    logs = zip(problem.log.recordings, tracks, strict=True)
+    exact = [replace(one, position=np.array(track)) for one, track in logs]
+    arm = Arm(replace(problem.log, recordings=tuple(exact)))
+    assert not arm.residuals([Hypothesis()]).any()
+    read = Read(html(arm, nothing_named(arm, "no_gap")))
+    assert "Nowhere above the noise." in read.text
+
+
+def test_names_are_no_formulas() -> None:
+    names, sizes = ("$j^{$", "$\\frac$"), np.full(2, 1e-3)
+    assert png(gap_bars(names, ("rad",) * 2, sizes, 9 * sizes, None))[1:4] == b"PNG"
 
 
 def test_figures_show_the_numbers(problem: Arm) -> None:

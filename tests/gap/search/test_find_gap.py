@@ -9,7 +9,9 @@ import mujoco
 import numpy as np
 import pytest
 from hidden_arms import TWO_LINKS, Act, Hide, record
+from small_problems import ball_problem
 
+from rlco.errors import DataError, UnknownNameError
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.verdict import Verdict
 from rlco.gap.search import find_gap as find_gap_module
@@ -158,3 +160,14 @@ def test_a_motor_that_can_hardly_hold_its_arm_is_named_alone() -> None:
     # What the arm weighs is known to three per cent, and so is what holds it.
     assert limit.low < 1.5 < limit.high
     assert limit.high - limit.value > 0.04 * limit.value
+
+
+def test_a_single_toss_is_refused() -> None:
+    problem = ball_problem()
+    with pytest.raises(DataError, match="one recording, 'toss', of which nothing can"):
+        find_gap(problem)
+
+
+def test_an_effect_to_leave_out_is_one_of_the_library() -> None:
+    with pytest.raises(UnknownNameError, match="did you mean 'backlash'"):
+        find_gap(ball_problem(), exclude=["backlsh"])

@@ -57,6 +57,18 @@ def test_the_file_is_one_that_people_read(tmp_path: Path) -> None:
     ]
 
 
+def test_units_may_differ_between_targets(tmp_path: Path) -> None:
+    path = tmp_path / "effects.yaml"
+    places = ("elbow", "rail", "wrist")
+    effects = [AppliedEffect("viscous_damping", at, {"damping": 8.0}) for at in places]
+    usual, rail = {"damping": "N m s/rad"}, {"damping": "N s/m"}
+    units = {"viscous_damping": usual, "viscous_damping rail": rail}
+    write_effects(path, effects, units=units)
+    told = [x.strip() for x in path.read_text().splitlines() if "units" in x]
+    turning = "units: {damping: N m s/rad}"
+    assert told == [turning, "units: {damping: N s/m}", turning]
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [

@@ -211,3 +211,32 @@ def test_friction_by_direction_resists_by_what_it_says(
     friction, torque = _along(own, 0.0, velocity)
     # Against the motion: the friction, less what pushes along with it.
     assert friction[0] - np.sign(velocity) * torque[0] == pytest.approx(resists)
+
+
+def test_parameters_at_a_slide_have_the_units_of_one() -> None:
+    xml = """<mujoco><worldbody><body name="cart"><joint name="{0}" type="{0}"
+    damping="2"/><geom size=".1" mass="1"/></body></worldbody><actuator>
+    <position name="a" joint="{0}" kp="40" kv="2" forcerange="-9 9"/></actuator>
+    </mujoco>"""
+    hinge, slide = (
+        mujoco.MjModel.from_xml_string(xml.format(kind)) for kind in ("hinge", "slide")
+    )
+    units = {
+        "coulomb_friction": ("N m", "N"),
+        "viscous_damping": ("N m s/rad", "N s/m"),
+        "armature": ("kg m^2", "kg"),
+        "joint_offset": ("rad", "m"),
+        "velocity_limit": ("rad/s", "m/s"),
+        "torque_limit": ("N m", "N"),
+        "joint_compliance": ("rad/(N m)", "m/N"),
+        "backlash": ("rad", "m"),
+    }
+    for name, (turning, sliding) in units.items():
+        assert EFFECTS[name].parameters(hinge, "hinge")[0].unit == turning
+        assert EFFECTS[name].parameters(slide, "slide")[0].unit == sliding
+    gain = EFFECTS["actuator_gain"].parameters(slide, "slide")[0].present
+    assert gain is not None
+    assert gain.unit == "N/m"
+    # A body of that name is no slide.
+    (mass, *place) = EFFECTS["payload"].parameters(slide, "cart")
+    assert [one.unit for one in (mass, *place)] == ["kg", "m", "m", "m"]

@@ -11,7 +11,7 @@ import numpy as np
 from rlco.gap.compare.problem import Integers, Layout
 from rlco.gap.compare.segments import Segment
 from rlco.gap.logs.log import Array, Log, Recording
-from rlco.physics.effects.targets import actuator_of, dof_of
+from rlco.physics.effects.targets import actuator_of, command_at, dof_of
 from rlco.physics.effects.transmission import COMPLIANCE_SUFFIX
 
 
@@ -50,6 +50,8 @@ def joint_commands(
 ) -> Array:
     """Return the command of each joint in each row; where it has none, its position.
 
+    That of a servo is where its joint shall be.
+
     Args:
         model: The robot.
         log: Its joints.
@@ -61,7 +63,8 @@ def joint_commands(
     for column, name in enumerate(log.joints):
         actuator = actuator_of(model, name)
         if actuator in columns:
-            commands[:, column] = sent[:, list(columns).index(actuator)]
+            unit = command_at(model, actuator) or 1.0
+            commands[:, column] = sent[:, list(columns).index(actuator)] / unit
     return commands
 
 

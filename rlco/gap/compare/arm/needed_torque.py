@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 
 from rlco.gap.logs.log import Array
-from rlco.physics.effects.targets import actuator_of, dof_of
+from rlco.physics.effects.targets import actuator_of, command_at, dof_of
 
 # A limit shows only below the required torque, and a joint with far too little torque
 # falls whatever else it does. Initial limits are therefore spaced closely enough for a
@@ -29,7 +29,7 @@ def servo_torque(
     Args:
         model: The robot.
         joints: Names of the columns.
-        command: (T, joints) [rad or m].
+        command: Of a servo, where its joint shall be, (T, joints) [rad or m].
         position: (T, joints) [rad or m].
         velocity: (T, joints) [rad/s or m/s].
 
@@ -42,8 +42,9 @@ def servo_torque(
         if actuator < 0:
             continue
         gear, bias = model.actuator_gear[actuator, 0], model.actuator_biasprm[actuator]
+        gain = model.actuator_gainprm[actuator, 0] * command_at(model, actuator)
         torque[:, column] = (
-            model.actuator_gainprm[actuator, 0] * command[:, column]
+            gain * command[:, column]
             + bias[0]
             + gear * bias[1] * position[:, column]
             + gear * bias[2] * velocity[:, column]
@@ -60,8 +61,10 @@ def limits(torque: Array) -> tuple[float, ...]:
     Example:
         >>> [round(limit, 2) for limit in limits(np.array([1.0, 1.0, 1.0, 2.0]))]
         [1.79, 1.36, 1.04, 0.79, 0.6]
+        >>> limits(np.r_[np.zeros(999), 2.0])[0]  # a single short pulse
+        1.8
     """
-    high = 0.9 * float(np.quantile(torque, 0.995))
+    high = 0.9 * float(np.quantile(torque, 0.995) or torque.max())
     low = max(0.6 * float(np.median(torque)), 0.08 * high)
     count = int(np.ceil(np.log(high / low) / np.log(_CLOSE))) + 1
     return tuple(np.geomspace(high, low, min(max(count, 2), _MOST)).tolist())

@@ -53,7 +53,7 @@ from rlco.physics.effects.apply import (
     step_forces,
     true_positions,
 )
-from rlco.physics.effects.targets import actuator_of, dof_of
+from rlco.physics.effects.targets import actuator_of, command_at, dof_of
 from rlco.physics.mj.libmujoco import silenced_warnings
 
 
@@ -322,7 +322,7 @@ class ArmRollouts(Problem):
             right[:, column] -= one.at_rows
             other._positions.append(right)
             push = np.zeros((len(one.at_steps), self.model.nu))
-            push[:, actuator] = -one.at_steps
+            push[:, actuator] = -command_at(self.model, actuator) * one.at_steps
             other._pushes[index] = self._pushes.get(index, 0.0) + push
             slope = 1.0 / self._as_read.get(index, np.ones_like(right))
             slope[:, column] -= one.slope

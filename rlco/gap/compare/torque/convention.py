@@ -24,6 +24,7 @@ _TIMES = 3.0  # a factor shared by several joints that no missing effect explain
 _ALONE = 10.0  # the same for one joint or for differing factors: a load may be heavy
 _ALIKE = 1.6  # factors of one unit differ by less
 _UNITS = {"N mm": 1000.0, "N cm": 100.0}
+_MOVES = 0.05  # of a joint, in which a measured torque changes [rad or m]
 _HEAVY = 0.1  # share of a joint's torque from which gravity decides the sign
 
 
@@ -51,8 +52,10 @@ def torque_problem(spec: mujoco.MjSpec, log: Log) -> TorqueLog:
         log: Positions and torques.
 
     Raises:
-        DataError: If torques leave gravity out, or their unit is unknown.
+        DataError: If torques leave gravity out, their unit is unknown, or that of a
+            joint never changes while it moves.
     """
+    _refuse_constant(log)
     problem = TorqueLog(spec, log)
     sizes = [float(np.abs(np.asarray(r.torque)).max()) for r in log.recordings]
     far = runaway(sizes)
@@ -174,6 +177,24 @@ def _ratio(rows: _Rows, joint: int) -> float:
 
     own = residual(1.0)
     return residual(-1.0) / own if own > 0.0 else np.inf
+
+
+def _refuse_constant(log: Log) -> None:
+    """Raise where a torque stays the same while its joint moves: nobody measured it."""
+    changes, moves = (
+        np.max([np.ptp(np.asarray(one), axis=0) for one in parts], axis=0)
+        for parts in zip(*((r.torque, r.position) for r in log.recordings), strict=True)
+    )
+    constant = (changes == 0.0) & (moves > _MOVES)
+    if constant.any():
+        names = [n for n, same in zip(log.joints, constant, strict=True) if same]
+        one = len(names) == 1
+        what = "moves and its torque" if one else "move and their torques"
+        raise DataError(
+            f"{few(names)} {what} never change{'s'[:one]}, as in columns that nothing "
+            f"fills; leave {'the joint' if one else 'these joints'} out "
+            f"(rename={names[0]}:-), or give torques that were measured."
+        )
 
 
 def _refuse_without_gravity(rows: _Rows) -> None:

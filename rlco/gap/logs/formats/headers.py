@@ -8,6 +8,7 @@ read by `rlco.gap.logs.formats.topics`.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Collection
 from dataclasses import replace
@@ -69,6 +70,15 @@ WORDS: dict[Kind, tuple[str, ...]] = {
 TIME = ("time", "t", "timestamp", "timestamps", "stamp", "seconds", "secs", "elapsed")
 #: Seconds in one unit of a time whose header ends so: ``time_ms``.
 TIME_UNITS = {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+_TURN = 2.0 * math.pi
+#: What positions and speeds are multiplied by, to be in radians or metres, whose header
+#: gives another unit of these. Degrees are a matter of the whole log.
+UNITS = {
+    **dict.fromkeys(("mrad", "mrad/s", "mm", "mm/s"), 1e-3),
+    **dict.fromkeys(("cm", "cm/s"), 1e-2),
+    **dict.fromkeys(("rev", "turn", "turns", "rev/s", "turns/s", "rps"), _TURN),
+    **dict.fromkeys(("rpm", "rev/min", "turns/min", "1/min"), _TURN / 60.0),
+}
 #: A free body's place and quaternion, in the order of `Recording.pose`.
 POSE = ("x", "y", "z", "qw", "qx", "qy", "qz")
 #: Headers of numbers that say to which recording a row belongs.
@@ -177,6 +187,17 @@ def parse_pose(header: str) -> tuple[str, str] | None:
     return found["stem"] or "", turns + axis[-1]
 
 
+def unit_factor(header: str) -> float:
+    """Return what a column is multiplied by, to be in radians or metres.
+
+    Example:
+        >>> unit_factor("elbow [mrad]"), unit_factor("elbow [deg]"), unit_factor("x")
+        (0.001, 1.0, 1.0)
+    """
+    found = _UNIT.search(header)
+    return 1.0 if found is None else UNITS.get(found[1].strip().lower(), 1.0)
+
+
 def _check_length(header: str) -> None:
     # Patterns take a time that grows with the square of a header's length.
     if len(header) > _LONGEST:
@@ -192,7 +213,7 @@ def _without_unit(header: str) -> tuple[str, Angles | None]:
     if found is None:
         return header.strip(), None
     unit = found[1].strip().lower()
-    degrees, radians = unit.startswith(("deg", "°")), unit.startswith("rad")
+    degrees, radians = unit.startswith(("deg", "°")), unit.startswith(("rad", "mrad"))
     plain = header[: found.start()].strip()
     return plain, "degrees" if degrees else "radians" if radians else None
 

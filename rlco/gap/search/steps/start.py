@@ -6,6 +6,7 @@ from collections.abc import Collection
 
 import numpy as np
 
+from rlco.errors import DataError
 from rlco.gap.compare.problem import Hypothesis, Problem
 from rlco.gap.compare.stability.instability import check_stable
 from rlco.gap.logs.log import Array
@@ -57,13 +58,24 @@ def split(problem: Problem) -> tuple[tuple[int, ...], tuple[int, ...]]:
 
     Of three or more recordings that were cut, no part is fitted of one that is held
     out.
+
+    Raises:
+        DataError: There is a single one.
     """
     recordings = problem.log.recordings
     total = len(recordings)
-    whole = list(dict.fromkeys(one.cut_from or one.name for one in recordings))
+    if total < 2:
+        raise DataError(
+            f"the log holds one recording, {recordings[0].name!r}, of which nothing "
+            "can be held out, since a toss and an episode of a task are not cut; give "
+            "two or more, best six."
+        )
+    # One that was too short to be cut is whole.
+    names = [one.cut_from or one.name for one in recordings]
+    whole = list(dict.fromkeys(names))
     if 3 <= len(whole) < total:
         out = set(whole[2::3])
-        heldout = tuple(i for i in range(total) if recordings[i].cut_from in out)
+        heldout = tuple(i for i in range(total) if names[i] in out)
     else:
         heldout = tuple(i for i in range(total) if i % 3 == 2) or (total - 1,)
     return tuple(i for i in range(total) if i not in heldout), heldout
