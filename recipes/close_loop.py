@@ -182,7 +182,7 @@ def shrinkage(rows: list[ResultRow]) -> tuple[float, float]:
     return loss, (corrected - nominal) / loss if loss > 0 else float("nan")
 
 
-def told(loss: float, gone: float) -> str:
+def result_of(loss: float, gone: float) -> str:
     """Return in a sentence what `shrinkage` found."""
     nominal = "Success where the effect is: trained in the nominal simulator it is"
     if not loss > 0:
@@ -217,7 +217,7 @@ def main(config: Config) -> None:
         plots.save_figure(plots.success_bars(rows), run.plots / "success.png")
         loss, gone = shrinkage(rows)
     listed = "; ".join(f"{e.name} {e.target} {dict(e.parameters)}" for e in effects)
-    result = told(loss, gone)
+    result = result_of(loss, gone)
     log.info(result)
     report = write_report(
         run.path,

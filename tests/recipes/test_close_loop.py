@@ -86,7 +86,7 @@ def test_each_method_is_trained_and_evaluated_where_the_effect_is(run: Path) -> 
     assert (run / "plots" / "success.png").stat().st_size > 1000
 
 
-def test_what_is_won_back_is_told_as_a_share_of_what_was_lost() -> None:
+def test_what_is_won_back_is_reported_as_a_share_of_what_was_lost() -> None:
     module: Any = importlib.import_module("close_loop")
 
     def row(method: str, seed: int, successes: int) -> dict[str, Any]:
@@ -109,13 +109,13 @@ def test_what_is_won_back_is_told_as_a_share_of_what_was_lost() -> None:
     # 0.3, 0.7 and 0.8 in the mean: 0.4 of 0.5 is won back.
     found = module.shrinkage(rows)
     assert found == (pytest.approx(0.5), pytest.approx(0.8))
-    assert "50 points below" in module.told(*found)
-    assert "80 % of that is won back" in module.told(*found)
+    assert "50 points below" in module.result_of(*found)
+    assert "80 % of that is won back" in module.result_of(*found)
     # A share of nothing is none.
     swapped = {"nominal": "oracle", "oracle": "nominal", "corrected": "corrected"}
     turned = [{**one, "method": swapped[one["method"]]} for one in rows]
     for other in (turned, [row(method, 0, 5) for method in swapped]):
-        words = module.told(*module.shrinkage(other))
+        words = module.result_of(*module.shrinkage(other))
         assert words.endswith("is no lower than trained where the effect is.")
 
 
