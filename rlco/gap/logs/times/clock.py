@@ -22,7 +22,11 @@ _FIRST = 4000  # rows that the period is first taken from
 _COHERENT = 0.3  # length of the mean phase; that of stamps off by a quarter of a period
 _SPREAD = 0.28  # deviation of stamps, in periods, that any times look to have
 _OTHER = 5.0  # standard errors between periods of loggers at different rates
-_MOST = 3.0  # standard errors within which a rate may be a whole number
+# Standard errors within which a rate may be a whole number. Nine loggers in ten run at
+# one and others anywhere within a per cent: with ten logs of six seconds, whose stamps
+# are off by a fifth of a period, these are as likely 3.85 errors away, and the errors
+# are a sixth larger than a line's, as some rows are taken for the tick beside theirs.
+_MOST = 4.5
 _WHOLE = 0.25  # ... if they are no more than this [1/s]
 _LOSS = 3.5  # cost of a row missing: the negative logarithm of three per cent
 _MOST_RATES = 1_000_000  # tried at most; an hour of rows at 1 kHz takes twelve thousand

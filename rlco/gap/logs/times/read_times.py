@@ -89,9 +89,11 @@ motion fits better: rows are taken at its ticks.']
 def _timed(kept: Recording, clock: Clock, share: float) -> Recording:
     measured = _measured(kept)
     if share == 0.0 and measured is not None:
-        fresh = np.flatnonzero(~repeated_rows(kept))
-        wrong = np.zeros(kept.rows, dtype=np.bool_)
-        wrong[fresh] = misplaced_rows(clock.ticks[fresh], measured[fresh])
+        repeated = repeated_rows(kept)
+        fresh = np.flatnonzero(~repeated)
+        # Without it, the first that repeats a misplaced row would pass for a fresh one.
+        of = np.maximum(np.cumsum(~repeated) - 1, 0)
+        wrong = misplaced_rows(clock.ticks[fresh], measured[fresh])[of]
         kept, clock = kept.take(~wrong), clock._replace(ticks=clock.ticks[~wrong])
     time = clock.time + share * (kept.time - clock.time)
     unknown = clock.jitter * math.sqrt(share * (1.0 - share))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from rlco.gap.logs.log import Recording
-from rlco.gap.logs.times.clock import clock_of
+from rlco.gap.logs.times.clock import Clock, clock_of, in_step
 from rlco.gap.logs.times.read_times import at_read_times
 
 PERIOD = 0.02
@@ -119,3 +119,44 @@ def test_a_measurement_of_a_lost_row_is_left_out() -> None:
 def test_one_stamp_of_another_age_is_no_clock(late: float) -> None:
     """To try all rates that it allows for would take hours, and any memory."""
     assert clock_of(np.append(np.arange(200) * 0.05, late)) is None
+
+
+@pytest.mark.parametrize(
+    ("away", "whole"), [(0.0, True), (3.4, True), (-4.2, True), (6.0, False)]
+)
+def test_a_rate_that_errors_of_stamps_alone_reach_is_a_whole_number(
+    away: float, whole: bool
+) -> None:
+    # Ten logs of six seconds with stamps off by a fifth of a period, each of which
+    # finds the rate `away` standard errors of all from 50 a second.
+    ticks = np.arange(300.0)
+    one = Clock(ticks, PERIOD, 0.0, 0.2 * PERIOD)
+    period = PERIOD + away * one.doubt / np.sqrt(10)
+    found = in_step([one._replace(period=period)] * 10)
+    expected = PERIOD if whole else period
+    assert [clock.period for clock in found] == pytest.approx(
+        [expected] * 10, rel=1e-12
+    )
+    # The middle of each log stays where its stamps are.
+    at = [clock.start + clock.period * ticks.mean() for clock in found]
+    assert at == pytest.approx([period * ticks.mean()] * 10)
+
+
+def test_rows_that_repeat_a_misplaced_one_go_with_it() -> None:
+    recording, truth = logged(3, 0.2, 0.0)
+    position = recording.position
+    assert position is not None
+    # Two rows repeat the measurement before them, whose own row is lost.
+    position[201:203] = position[200]
+    kept = np.arange(400) != 200
+    log = Recording("log", recording.time[kept], position[kept])
+    (found,), _ = at_read_times([log])
+    assert found.position is not None
+    assert not (found.position == position[200]).all(axis=1).any()
+    assert len(found.time) >= 395
+    assert off(found, truth[np.isin(np.round(truth / PERIOD), _ticks(found))]) < 0.01
+
+
+def _ticks(found: Recording) -> np.ndarray:
+    since = (found.time - found.time[0]) / PERIOD
+    return np.asarray(np.round(since))
