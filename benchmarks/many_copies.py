@@ -40,8 +40,8 @@ def resident() -> float:
 
 def measure(task: str, number: int, seconds: float) -> tuple[float, float]:
     """Return resident memory [MB] and control steps a second of N worlds."""
-    env = make_env(task, num_envs=number)
-    stepper: Any = getattr(env, "stepper", None) or getattr(env, "backend")  # noqa: B009
+    env: Any = make_env(task, num_envs=number)
+    stepper = env.backend if task.startswith("robosuite:") else env.stepper
     size = stepper.worlds.control.action_size
     rng = np.random.default_rng(0)
     took: list[float] = []

@@ -17,6 +17,7 @@ from rlco.errors import DataError, RlcoError, UnknownNameError
 from rlco.gap.calibrate.changed import Changed, weights_of
 from rlco.gap.calibrate.fit import Calibration, calibrate, fitted_effects
 from rlco.gap.calibrate.numbers import Calibratable
+from rlco.gap.calibrate.optimism import optimism
 from rlco.gap.calibrate.remaining import SPREAD, Remaining
 from rlco.gap.calibrate.residual_model import residual_model
 from rlco.gap.calibrate.summary import Before, Summary, sizes, sizes_of
@@ -32,7 +33,6 @@ from rlco.gap.compare.verdict import Verdict
 from rlco.gap.logs.log import Array, Log
 from rlco.gap.make_problem import compared_in, in_parts, make_problem
 from rlco.gap.model import LoadedModel
-from rlco.gap.search.comparison import correlation_length, seconds_of
 from rlco.gap.search.find_gap import find_gap, nothing_searched
 from rlco.gap.search.steps.start import split
 from rlco.physics.effects import AppliedEffect
@@ -386,16 +386,3 @@ def _check_same(known: Calibratable, before: Log, after: Log) -> None:
             f"reference= holds {lacking or 'positions'}, and data= does not; give two "
             "recordings of one kind."
         )
-
-
-def optimism(problem: Calibratable, residual: Array, calibration: Calibration) -> float:
-    """Return how much larger a residual is where its model was not fitted.
-
-    A number counts as far as the recordings determine it, and not its prior.
-    """
-    layout = problem.layout
-    series = seconds_of(layout) * len(layout.channels) + layout.channel
-    scaled = residual / problem.noise[layout.channel]
-    rows = len(residual) / correlation_length(scaled, series)
-    numbers = len(calibration.amounts) - float(np.trace(calibration.covariance))
-    return float(np.sqrt(rows / max(rows - numbers, 0.3 * rows)))

@@ -28,11 +28,12 @@ from rlco.errors import DataError, RlcoError, UnknownNameError
 from rlco.gap import run_gap
 from rlco.gap.calibrate.fit import Calibration
 from rlco.gap.calibrate.numbers import Number
+from rlco.gap.calibrate.optimism import optimism
 from rlco.gap.compare.problem import Layout
 from rlco.gap.compare.verdict import Verdict
 from rlco.gap.logs.log import Log, Recording
 from rlco.gap.model import LoadedModel, load_model
-from rlco.gap.reference import calibrates, optimism, prepare, search
+from rlco.gap.reference import calibrates, prepare, search
 
 
 @pytest.fixture(scope="module")

@@ -25,6 +25,7 @@ from rlco.gap.report.film import Film
 from rlco.gap.report.free_form import free_form_section
 from rlco.gap.report.held_out import held_out_section
 from rlco.gap.report.next_steps import next_steps
+from rlco.gap.report.trail import trail_section
 from rlco.gap.report.verdict_text import (
     MEANING,
     PLAIN_VERDICTS,
@@ -104,7 +105,7 @@ def page(source: Page) -> str:
             sizes=source.before is None,
         ),
         _next(source),
-        _trail(source),
+        trail_section(source.verdict.trail),
         _log(source),
         _again(source),
     )
@@ -359,28 +360,6 @@ def _cell(key: str, value: object) -> str:
     if value is None:
         return "-"
     return in_words(str(value)) if key == "motion" else plain(value)
-
-
-_TRAIL = (
-    "Error: the residual in held-out recordings, as a multiple of the noise and of "
-    "what the model's tolerance explains; at 1 nothing else is left. Gain: the "
-    "fraction by which the error falls against the best attempt until then."
-)
-
-
-def _trail(source: Page) -> str:
-    trail = source.verdict.trail
-    if not trail:
-        return ""
-    head = list(dict.fromkeys(key for row in trail for key in row))
-    rows = [[escape(plain(row.get(key, ""))) for key in head] for row in trail]
-    steps = "1 step" if len(rows) == 1 else f"{len(rows)} steps"
-    meaning = f'<p class="quiet">{escape(_TRAIL)}</p>' if "gain" in head else ""
-    return (
-        "<h2>What was tried</h2>\n<details><summary>"
-        f'{steps} of the search</summary>{meaning}<div class="wide">'
-        f"{html.table([in_words(key) for key in head], rows)}</div></details>"
-    )
 
 
 def _log(source: Page) -> str:
