@@ -81,7 +81,7 @@ def demonstrations(path: Path, *episodes: int) -> Any:
     return SimpleNamespace(meta=SimpleNamespace(path=path, episodes=episodes))
 
 
-def test_held_out_episodes_that_the_anchor_is_trained_on_are_told(
+def test_held_out_episodes_that_the_anchor_is_trained_on_are_reported(
     tmp_path: Path,
     caplog: pytest.LogCaptureFixture,
     monkeypatch: pytest.MonkeyPatch,
