@@ -222,14 +222,14 @@ def _effects(source: Page) -> str:
     what, whose = "is missing", "model's value"
     if verdict.since_reference:
         what, whose = "changed", "value before"
+    arrow = f"An arrow leads from the {whose} to the identified one. "
     return (
         f"<h2>What {what}</h2>\n"
         + html.table(["effect", "parameters", "other explanations"], rows)
-        + f'<p class="quiet">An arrow leads from the {whose} to the identified '
-        "one; below each value is its 90 % interval. Other explanations were fitted in "
-        "place of the effect: these recordings cannot distinguish those that are as "
-        "good; those that are ruled out leave a larger residual in held-out "
-        "recordings.</p>"
+        + f'<p class="quiet">{arrow if "→" in str(rows) else ""}Below each value is '
+        "its 90 % interval. Other explanations were fitted in place of the effect: "
+        "these recordings cannot distinguish those that are as good; those that are "
+        "ruled out leave a larger residual in held-out recordings.</p>"
     )
 
 
