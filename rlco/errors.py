@@ -52,6 +52,16 @@ def _escaped(character: str) -> str:
     return character.encode("unicode_escape", "backslashreplace").decode("ascii")
 
 
+def counted(number: int, noun: str) -> str:
+    """Return a number with its noun, which gets an "s" where it is not one.
+
+    Example:
+        >>> counted(1, "action"), counted(7, "action")
+        ('1 action', '7 actions')
+    """
+    return f"{number} {noun}" if number == 1 else f"{number} {noun}s"
+
+
 def suggest(given: str, allowed: Iterable[str]) -> str:
     """Return ``" (did you mean 'x'?)"`` for a near miss, else an empty string.
 

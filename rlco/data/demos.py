@@ -17,7 +17,7 @@ from torchrl.data import LazyMemmapStorage, LazyTensorStorage, TensorDictReplayB
 from rlco.data.augment import Augmentation
 from rlco.data.instructions import InstructionFromId
 from rlco.data.resize import images_of
-from rlco.errors import ConfigError, DataError, OutputExistsError, suggest
+from rlco.errors import ConfigError, DataError, OutputExistsError, counted, suggest
 from rlco.keys import (
     ACTION,
     CHUNK,
@@ -296,9 +296,9 @@ def _check_sizes(folder: LeRobotFolder, sizes: Mapping[str, int | None]) -> None
         if size is not None and feature.size != size:
             raise DataError(
                 f"feature {name!r} of data set {str(folder.path)!r} has "
-                f"{feature.size} numbers, but {size} are expected; give a data set of "
-                "the same robot and task, or rename= the feature that is meant (sft "
-                "trains on another robot's data with task=null)."
+                f"{counted(feature.size, 'number')}, but {size} are expected; give a "
+                "data set of the same robot and task, or rename= the feature that is "
+                "meant (sft trains on another robot's data with task=null)."
             )
 
 

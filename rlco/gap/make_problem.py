@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rlco.errors import DataError
+from rlco.errors import DataError, counted
 from rlco.gap.compare.arm.commands.missing import with_missing_commands
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.comparisons import Compared
@@ -159,8 +159,11 @@ def _name_joints(log: Log, loaded: LoadedModel) -> bool:
 def _other_actions(log: Log, loaded: LoadedModel, own: Sequence[str]) -> str:
     """Return a message that a log's actions match no inputs of this model."""
     joints = "commands of joints, " if _name_joints(log, loaded) else ""
-    sent = f"the log's {len(log.actuators)} actions ({few(log.actuators)}) are {joints}"
-    theirs = f"{len(loaded.actuators)} actuators ({few(loaded.actuators, 3) or 'none'})"
+    logged = f"the log's {counted(len(log.actuators), 'action')}"
+    are = "is" if len(log.actuators) == 1 else "are"
+    sent = f"{logged} ({few(log.actuators)}) {are} {joints}"
+    theirs = f"{counted(len(loaded.actuators), 'actuator')} "
+    theirs += f"({few(loaded.actuators, 3) or 'none'})"
     if not own:
         return (
             f"{sent}not those of model {loaded.name!r}, which has {theirs}; give, as "

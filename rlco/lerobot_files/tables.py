@@ -11,7 +11,7 @@ import numpy.typing as npt
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from rlco.errors import DataError
+from rlco.errors import DataError, counted
 from rlco.files import reading
 from rlco.files.sizes import check_declared
 from rlco.lerobot_files.parquet_footer import leaves
@@ -33,8 +33,8 @@ def read_table(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
         twice = [name for name, count in Counter(names).items() if count > 1]
         if twice:
             raise DataError(
-                f"file {str(file)!r} has {len(twice)} columns twice, such as "
-                f"{twice[0]!r}; write it again with each of them once."
+                f"file {str(file)!r} has {counted(len(twice), 'column')} twice, such "
+                f"as {twice[0]!r}; write it again with each of them once."
             )
         wanted = [name for name in columns or names if name in names]
         plain = _check_size(file, parquet.metadata.num_rows, wanted)

@@ -174,7 +174,7 @@ def test_ids_do_not_depend_on_the_episodes_selected(demos: Path) -> None:
     ("options", "message"),
     [
         ({"action_dim": 7}, "'action' .* has 2 numbers, but 7 are expected"),
-        ({"state_dim": 2}, "'observation.state' .* has 1 numbers, but 2"),
+        ({"state_dim": 2}, "'observation.state' .* has 1 number, but 2"),
         ({"environment_dim": 2}, "environment_state' .* has 3 numbers, but 2"),
         ({"image_key": "front"}, "no feature 'front'"),
         ({"image_key": "action"}, "'action' .* is not a camera"),

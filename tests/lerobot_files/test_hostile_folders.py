@@ -329,7 +329,7 @@ def test_two_columns_of_one_name(root: Path) -> None:
     table = pq.read_table(data_file(root))
     twice = table.append_column("frame_index", table["frame_index"])
     pq.write_table(twice, data_file(root))
-    with pytest.raises(DataError, match="has 1 columns twice, such as 'frame_index'"):
+    with pytest.raises(DataError, match="has 1 column twice, such as 'frame_index'"):
         read(root)
 
 

@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from mujoco import rollout
 
-from rlco.errors import DataError, UnknownNameError
+from rlco.errors import DataError, UnknownNameError, counted
 from rlco.gap.compare.first_velocity import FIRST_ROWS, first_velocity
 from rlco.gap.compare.noise import measurement_noise
 from rlco.gap.compare.problem import Candidate, Hypothesis, Layout, Problem, Run
@@ -278,7 +278,7 @@ def rms_by_phase(problem: FreeBody, hypothesis: Hypothesis) -> tuple[float, floa
 
 def _poses(recording: Recording) -> Array:
     if recording.pose is None or recording.rows < FIRST_ROWS:
-        message = f"{recording.name} has {recording.rows} rows"
+        message = f"{recording.name} has {counted(recording.rows, 'row')}"
         message += " without poses" if recording.pose is None else " of poses"
         raise DataError(message + ": give recordings of four poses or more.")
     return np.asarray(recording.pose, dtype=float)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from rlco.errors import DataError, suggest
+from rlco.errors import DataError, counted, suggest
 from rlco.files.reading import cut
 from rlco.gap.logs.names import match_names
 from rlco.gap.logs.table import Kind, Table
@@ -151,22 +151,22 @@ def _match_actuators(stems: Sequence[str], model: LoadedModel) -> dict[str, str]
     other = match_names(stems, list(by_joint))
     if len(other) > len(found):
         found = {stem: by_joint[joint] for stem, joint in other.items()}
+    logged = f"the log has {counted(len(stems), 'action')} ({few(stems)})"
     if not model.actuators:
         raise DataError(
-            f"the log has {len(stems)} actions ({few(stems)}) and model {model.name!r} "
-            "has no actuators; give an MJCF file with a position servo per joint, or, "
-            "where the log has torques, leave the actions out with '-' as their new "
-            f"name ({_HINT[5:]})."
+            f"{logged} and model {model.name!r} has no actuators; give an MJCF file "
+            "with a position servo per joint, or, where the log has torques, leave the "
+            f"actions out with '-' as their new name ({_HINT[5:]})."
         )
     lacking = [name for name in model.actuators if name not in found.values()]
     left = [stem for stem in stems if stem not in found]
     if lacking or left:
         raise DataError(
-            f"the log has {len(stems)} actions ({few(stems)}) and model {model.name!r} "
-            f"has {len(model.actuators)} actuators ({few(model.actuators) or 'none'}), "
-            f"which do not match{_nearest(left, lacking)}; give the model that was "
-            f"commanded, or {_HINT[5:]}, and '-' as the new name of an action to leave "
-            "out."
+            f"{logged} and model {model.name!r} has "
+            f"{counted(len(model.actuators), 'actuator')} "
+            f"({few(model.actuators) or 'none'}), which do not match"
+            f"{_nearest(left, lacking)}; give the model that was commanded, or "
+            f"{_HINT[5:]}, and '-' as the new name of an action to leave out."
         )
     return found
 
@@ -189,9 +189,9 @@ def _refuse_unmatched(table: Table, joints: dict[str, str], model: LoadedModel) 
             stem if stem and not stem.isdecimal() else headers[stem] for stem in some
         ]
         raise DataError(
-            f"the log's {len(odd)} columns {few(odd) or 'none'} match no joint of "
-            f"model {model.name!r}{_nearest(odd, lacking)}; its {len(lacking)} joints "
-            f"without a column are {few(lacking) or 'none'}; {_HINT}."
+            f"no joint of model {model.name!r} matches the log's "
+            f"{counted(len(odd), 'column')} {few(odd)}{_nearest(odd, lacking)}; "
+            f"its joints without a column: {few(lacking) or 'none'}; {_HINT}."
             if odd
             else f"the log has no joint positions and model {model.name!r} has joints "
             f"{few(model.joints) or 'none'}; give a log of this robot, or {_HINT[5:]}."

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from html import escape
 
+from rlco.errors import counted
 from rlco.gap.compare.wording import in_words, plain
 from rlco.reporting import html
 
@@ -21,7 +22,7 @@ def trail_section(trail: Sequence[Mapping[str, object]]) -> str:
         return ""
     head = list(dict.fromkeys(key for row in trail for key in row))
     rows = [[escape(plain(row.get(key, ""))) for key in head] for row in trail]
-    steps = "1 step" if len(rows) == 1 else f"{len(rows)} steps"
+    steps = counted(len(rows), "step")
     meaning = f'<p class="quiet">{escape(_MEANING)}</p>' if "gain" in head else ""
     return (
         "<h2>What was tried</h2>\n<details><summary>"

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from rlco.errors import ConfigError
+from rlco.errors import ConfigError, counted
 from rlco.physics.spec.task import InitialState, SceneState, Task
 
 _NAMES = (
@@ -159,7 +159,7 @@ def _rules(task: Task, state: SceneState) -> Iterator[str]:
         "environment_state": (
             task.environment_state(objects, goals),
             (TRIED, len(names)),
-            f"environment_state_names has {len(names)} names",
+            f"environment_state_names has {counted(len(names), 'name')}",
         ),
         "success": (task.success(state), (TRIED,), "one truth value a state"),
         "shaped_reward": (

@@ -6,7 +6,7 @@ import torch
 from numpy.typing import ArrayLike
 from torch import nn
 
-from rlco.errors import ConfigError, DataError
+from rlco.errors import ConfigError, DataError, counted
 from rlco.physics.spec.actions import TOLERANCE
 
 
@@ -106,8 +106,9 @@ class QuantileNormalizer(nn.Module):
         """Normalise ``raw`` [..., size]."""
         if raw.shape[-1] != self.size:
             raise DataError(
-                f"{self.name} has {raw.shape[-1]} numbers, the policy was built for "
-                f"{self.size}; use the data or the task that it was trained on."
+                f"{self.name} has {counted(raw.shape[-1], 'number')}, the policy was "
+                f"built for {self.size}; use the data or the task that it was "
+                "trained on."
             )
         normalized = 2 * (raw - self.low) / (self.high - self.low) - 1
         if self.clip is None:

@@ -52,7 +52,7 @@ def test_a_name_that_matches_no_joint(tmp_path: Path) -> None:
 def test_no_name_that_matches(tmp_path: Path) -> None:
     columns = {"time": TIME, "position.a": POSITION[:, 0], "position.b": POSITION[:, 1]}
     file = write_csv(tmp_path / "a.csv", columns)
-    with pytest.raises(DataError, match="2 columns a, b match no joint of model 'arm'"):
+    with pytest.raises(DataError, match="model 'arm' matches the log's 2 columns a, b"):
         read_log(file, arm(tmp_path))
 
 
@@ -64,7 +64,7 @@ def test_no_position_of_a_data_set_matches_whatever_velocities_do(
         "observation.velocity": (list(JOINTS), [POSITION]),
     }
     folder = write_lerobot(tmp_path / "set", parts)
-    with pytest.raises(DataError, match="3 columns a, b, c match no joint of model"):
+    with pytest.raises(DataError, match="matches the log's 3 columns a, b, c"):
         read_log(folder, arm(tmp_path))
 
 
@@ -258,7 +258,7 @@ def test_holding_still_at_an_extreme_is_no_saturation(tmp_path: Path) -> None:
     [
         ("0,1,2\n1,2,3\n", "has no header; name its columns"),
         ("time,q1,q1\n0,1,2\n", "several columns named q1"),
-        ("time,q1\n0,1\n1\n", "row 2 .* has 1 cells and the header 2"),
+        ("time,q1\n0,1\n1\n", "row 2 .* has 1 cell and the header 2"),
         ("time,q1\n0,1\n1,2\n2,abc\n", "'q1' .* holds 'abc' in row 3"),
         ("q1,q2\n0,1\n1,2\n", "has no column of times"),
         ("time,q1\n0,1\n20,2\n40,3\n", "rises by 20 per row.*'time_ms'"),

@@ -120,7 +120,7 @@ def test_every_problem_is_reported_and_before_a_scene_is_built() -> None:
     with pytest.raises(ConfigError) as caught:
         make_env(wrong)
     assert len(caught.value.problems) == 2
-    with pytest.raises(ConfigError, match="environment_state_names has 1 names"):
+    with pytest.raises(ConfigError, match="environment_state_names has 1 name"):
         next(demonstrate(wrong, "sim", episodes=1, seed=0))
 
 

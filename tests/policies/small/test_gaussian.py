@@ -219,9 +219,7 @@ def test_wrong_shapes_are_refused() -> None:
     with pytest.raises(DataError, match=r"shape \(3, 1, 2\), the policy's \(3, 2, 2\)"):
         policy.imitation_loss(td)
     td["observation", "state"] = torch.zeros(3, 1)
-    with pytest.raises(
-        DataError, match="state has 1 numbers, the policy was built for"
-    ):
+    with pytest.raises(DataError, match="state has 1 number, the policy was built for"):
         policy.get_dist(td)
     with pytest.raises(DataError, match=r"no \('observation', 'environment_state'\)"):
         policy.get_dist(

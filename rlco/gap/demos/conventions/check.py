@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rlco.errors import DataError
+from rlco.errors import DataError, counted
 from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.demos.conventions.action_units import (
     MOVES,
@@ -213,7 +213,8 @@ def check_conventions(
     rows = sum(recording.rows for recording in log.recordings)
     if rows < _ROWS:
         raise DataError(
-            f"the log has {rows} rows; checking conventions takes {_ROWS} rows or more."
+            f"the log has {counted(rows, 'row')}; checking conventions takes {_ROWS} "
+            "rows or more."
         )
     rollouts = rollouts or Rollouts(Plants(task, make_domain(domain)))
     responses, home = nominal_responses(rollouts)

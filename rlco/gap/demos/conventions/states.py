@@ -9,7 +9,7 @@ from itertools import product
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from rlco.errors import DataError
+from rlco.errors import DataError, counted
 from rlco.gap.demos.replay.channels import ARM_JOINTS, known_names
 from rlco.gap.logs.log import Array, Log, Recording
 from rlco.physics.spec.names import STATE_NAMES
@@ -102,9 +102,9 @@ def state_columns(log: Log, task: Task) -> tuple[str, ...]:
     )
     if not 6 <= len(names) <= 9:
         raise DataError(
-            f"the robot's state has {len(names)} columns ({', '.join(names)}); it "
-            "should hold the tool's position, its rotation (three numbers, or a "
-            "quaternion) and the gripper."
+            f"the robot's state has {counted(len(names), 'column')} "
+            f"({', '.join(names)}); it should hold the tool's position, its "
+            "rotation (three numbers, or a quaternion) and the gripper."
         )
     return names
 

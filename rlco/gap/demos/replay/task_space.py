@@ -16,7 +16,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.errors import DataError
+from rlco.errors import DataError, counted
 from rlco.gap.compare.noise import measurement_noise
 from rlco.gap.compare.problem import Candidate, Hypothesis, Layout, Problem
 from rlco.gap.demos.replay.channels import (
@@ -375,7 +375,7 @@ def _check_recording(recording: Recording, task: Task) -> None:
         )
     if recording.rows < 5:
         raise DataError(
-            f"{recording.name} has {recording.rows} rows; give five or more."
+            f"{recording.name} has {counted(recording.rows, 'row')}; give five or more."
         )
 
 

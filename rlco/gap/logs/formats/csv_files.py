@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from rlco.errors import DataError
+from rlco.errors import DataError, counted
 from rlco.files import reading, shown
 from rlco.files.texts import read_text
 from rlco.gap.logs.formats.columns import tables_of
@@ -42,8 +42,8 @@ def read_csv(path: Path, model: LoadedModel | None) -> list[Table]:
     for number, row in enumerate(cells):
         if len(row) != len(header):
             raise DataError(
-                f"row {number + 1} of {str(path)!r} has {len(row)} cells and the "
-                f"header {len(header)}; correct or delete that row."
+                f"row {number + 1} of {str(path)!r} has {counted(len(row), 'cell')} "
+                f"and the header {len(header)}; correct or delete that row."
             )
     columns: dict[str, Array] = {}
     lists: dict[str, list[list[str]]] = {}

@@ -12,7 +12,7 @@ from zipfile import ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.errors import DataError
+from rlco.errors import DataError, counted
 from rlco.files import reading, shown
 from rlco.files.fields import is_number
 from rlco.files.sizes import check_declared
@@ -211,8 +211,8 @@ def _columns(
             named = [*POSE, *_MOTION][:count]
         if named is None:
             raise DataError(
-                f"array {key!r} of {str(path)!r} has {count} columns without names; "
-                "save their names as an array 'columns'."
+                f"array {key!r} of {str(path)!r} has {counted(count, 'column')} "
+                "without names; save their names as an array 'columns'."
             )
         return {name: array[:, i] for i, name in enumerate(named)}
     if parse_header(key).kind != "extra" and count == 1:

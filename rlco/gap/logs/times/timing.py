@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.errors import DataError
+from rlco.errors import DataError, counted
 from rlco.gap.logs.log import Array, Recording
 from rlco.gap.logs.times.read_times import ROUNDING
 from rlco.gap.logs.times.repeated_rows import repeated_rows
@@ -68,9 +68,8 @@ def correct_timing(recording: Recording) -> Corrected:
         lost = int((~rising).sum())
         _refuse_coarse(name, lost, len(rising))
         recording = recording.take(rising)
-        notes.append(
-            f"{name!r}: {lost} rows at the time of the row before are dropped."
-        )
+        dropped = counted(lost, "row")
+        notes.append(f"{name!r}: dropped {dropped} at the time of the row before.")
     recording = replace(recording, time=_evened(recording.time))
     for correct in (_later, _without_repeated):
         recording, said = correct(recording)

@@ -154,7 +154,7 @@ def test_rows_of_one_time_are_dropped_but_not_most_of_a_log() -> None:
     time[10] = time[9]
     (part,), notes = correct_timing(recording(time))
     assert part.rows == 99
-    assert "1 rows at the time of the row before" in notes[0]
+    assert "dropped 1 row at the time of the row before" in notes[0]
     with pytest.raises(DataError, match="write times with more digits"):
         correct_timing(recording(np.repeat(np.arange(25) * 1.0, 4)))
 
