@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 from task_recordings import EPISODES, plain_log, record, rollouts
 
 from rlco.errors import DataError
+from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.demos.conventions.action_units import read_gripper
 from rlco.gap.demos.conventions.actions import (
     ActionConvention,
@@ -24,6 +25,7 @@ from rlco.gap.demos.conventions.actions import (
 from rlco.gap.demos.conventions.check import Conventions, check_conventions
 from rlco.gap.demos.conventions.nominal_response import nominal_responses
 from rlco.gap.demos.conventions.states import StateConvention, read_state
+from rlco.gap.demos.replay.task_space import TaskSpaceProblem
 from rlco.gap.logs.log import Log, Recording
 from rlco.physics.effects import AppliedEffect
 from rlco.physics.spec.names import STATE_NAMES
@@ -102,6 +104,10 @@ def as_targets(action: Array, state: Array) -> Array:
 
 def in_metres(action: Array, state: Array) -> Array:
     return action * np.array([0.05] * 3 + [0.5] * 3 + [1.0])
+
+
+def in_parts_of_ten_centimetres(action: Array, state: Array) -> Array:
+    return action * np.array([0.5] * 3 + [1.0] * 4)
 
 
 def a_row_late(action: Array, state: Array) -> Array:
@@ -243,6 +249,35 @@ def test_a_robot_with_friction_and_payload_still_agrees() -> None:
     found = check(Log(record(robot=robot)[0].recordings[:2]))
     assert found.agrees
     assert found.error > 3e-3
+
+
+@pytest.mark.slow
+def test_a_unit_of_a_size_of_its_own_is_fitted() -> None:
+    found = check(with_actions(in_parts_of_ten_centimetres))
+    assert found.changes == (
+        "one unit of translations moves the tool by 0.1 m, not 0.05",
+    )
+    assert found.move_scale.size == pytest.approx(0.1, rel=1e-3)
+    assert found.error < 2e-3
+
+
+@pytest.mark.slow
+def test_a_robot_that_a_damping_slows_has_units_of_the_same_size() -> None:
+    # Its tool moves by 0.6 of what is commanded, and actions of 0.6 of their size are
+    # replayed better; but that leaves centimetres, which the damping explains.
+    from rlco.physics.native.stepper import NativeStepper
+    from rlco.physics.spec.domain import SIM
+
+    damping = AppliedEffect("viscous_damping", "robot0_joint4", {"damping": 20.0})
+    robot = NativeStepper(TASK, SIM, num_envs=EPISODES, threads=1, effects=[damping])
+    log = Log(record(robot=robot)[0].recordings[:2])
+    found = check(log)
+    assert found.agrees
+    assert "one unit of translations moves the tool by 0.03" in found.summary
+    problem = TaskSpaceProblem(TASK, found.apply(log), rollouts=rollouts())
+    (rows,) = problem.residuals([Hypothesis((damping,))])
+    scaled = rows / problem.noise[problem.layout.channel]
+    assert np.sqrt(np.mean(scaled**2)) < 1.5
 
 
 def test_a_hand_that_never_moves_tells_nothing_of_its_number() -> None:

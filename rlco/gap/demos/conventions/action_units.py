@@ -75,6 +75,11 @@ class Gripper:
         return np.clip(side if self.closes == "high" else -side, -1.0, 1.0)
 
 
+def known_scale(name: str, known: Mapping[str, float]) -> Scale:
+    """Return a known unit as a scale."""
+    return Scale(name, known[name], known[name])
+
+
 def nearest_scale(measured: float, known: Mapping[str, float]) -> Scale:
     """Return the known unit nearest to a measured size, or a scale without a name.
 

@@ -7,7 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from rlco.gap.demos.conventions.action_units import MOVES, TURNS, Scale, nearest_scale
+from rlco.gap.demos.conventions.action_units import (
+    MOVES,
+    TURNS,
+    Scale,
+    known_scale,
+    nearest_scale,
+)
 from rlco.gap.demos.conventions.actions import (
     ActionConvention,
     Motion,
@@ -64,9 +70,13 @@ def best_distinct(ranking: Sequence[Score]) -> list[Score]:
     return [s for s in near if s.convention.deviations <= simple][:_MOST]
 
 
-def move_scale(motions: Sequence[Motion], one: Score, nominal: Score) -> Scale:
-    """Return the size of one unit of the translations."""
-    return _scale(motions, one, nominal, MOVES)
+def move_scales(motions: Sequence[Motion], one: Score, nominal: Score) -> list[Scale]:
+    """Return the sizes that one unit of the translations may have, a known one first.
+
+    What is the size of no unit may be the controller's, or a robot's that moves less
+    than the simulator: with a damping, behind a soft servo.
+    """
+    return _scales(motions, one, nominal, MOVES)
 
 
 def turn_conventions(
@@ -83,18 +93,20 @@ def turn_conventions(
     best = best_distinct(ranking)[0]
     if best.explained >= EXPLAINED:
         chosen = usual if usual.residual <= _TIE * best.residual else best
-        return [(chosen.convention, _scale(turned, chosen, nominal, TURNS))]
+        sizes = _scales(turned, chosen, nominal, TURNS)
+        return [(chosen.convention, scale) for scale in sizes]
     flipped = replace(same, axes=("-x", "-y", "-z"))
-    whole, radians = (Scale(n, TURNS[n], TURNS[n]) for n in list(TURNS)[:2])
+    whole, radians = (known_scale(n, TURNS) for n in list(TURNS)[:2])
     if moves.kind == "absolute":
         return [(same, whole), (flipped, whole)]
     return [(same, whole), (flipped, whole), (same, radians)]
 
 
-def _scale(
+def _scales(
     motions: Sequence[Motion], one: Score, nominal: Score, known: Mapping[str, float]
-) -> Scale:
+) -> list[Scale]:
+    own = known_scale(next(iter(known)), known)
     if one.convention.kind == "absolute" or one.explained < EXPLAINED:
-        name = next(iter(known))
-        return Scale(name, known[name], known[name])
-    return nearest_scale(size(motions, one.convention, nominal), known)
+        return [own]
+    nearest = nearest_scale(size(motions, one.convention, nominal), known)
+    return [nearest] if nearest.name else [own, nearest]
