@@ -26,6 +26,7 @@ from rlco.gap.compare.problem import Candidate, Hypothesis
 from rlco.gap.demos.replay.commands_in_flight import Path, in_flight
 from rlco.gap.demos.replay.plants import Plants
 from rlco.gap.demos.replay.rollouts import Job, Rollouts, Start
+from rlco.gap.demos.replay.segments import RUN_IN
 from rlco.gap.demos.replay.task_space import TaskSpaceProblem
 from rlco.gap.logs.log import Log
 from rlco.gap.search.fit import fit, library_of
@@ -177,7 +178,8 @@ def test_a_hidden_mass_is_found_and_free_motion_is_clean() -> None:
     factors = [1.0, 2.0, 3.0, 4.5]
     found = sizes(problem, [heavier(factor) for factor in factors])
     assert factors[int(np.argmin(found))] == 3.0
-    assert found[0] > 1.1 * found[2]
+    # Where simulations restarted while the cube was pushed it was 1.4 times.
+    assert found[0] > 2.0 * found[2]
     left, corrected = problem.residuals([Hypothesis(), heavier(3.0)])
     explained, late = (left**2 - corrected**2) / scale(problem) ** 2, touching(problem)
     assert explained[late].sum() > 0.98 * explained.sum()
@@ -198,7 +200,7 @@ def test_a_hidden_damping_is_fitted_to_its_size_across_contacts() -> None:
     whiten = start(problem).setting.whiten
     begin = with_effect("viscous_damping", joint, damping=9.0).effects
     (found,) = fit(library_of(problem), [begin], whiten, steps=8, tolerance=1e-4)
-    assert found.effects[0].values[0] == pytest.approx(hidden, rel=0.05)
+    assert found.effects[0].values[0] == pytest.approx(hidden, rel=0.02)
 
 
 def test_late_commands_and_a_wrong_encoder_are_told_apart_from_none() -> None:
@@ -355,7 +357,7 @@ def test_traces_put_measured_and_simulated_side_by_side() -> None:
     left = problem.residuals([Hypothesis()], [2])[0]
     channel = problem.layout.channel[here] == 0
     # The rows of the run-in are not simulated.
-    apart = (traces["measured"] - traces["simulated"])[3:, 0]
+    apart = (traces["measured"] - traces["simulated"])[RUN_IN + 1 :, 0]
     assert np.allclose(apart, left[channel])
     assert not traces["contact"][:5].any()
     assert traces["contact"].any()

@@ -2,19 +2,19 @@
 
 The actions are replayed in the task's own simulator, with its controller and contacts.
 They are relative to the tool's pose, so a replay drifts away from the recording. It
-therefore restarts from the measurement at regular intervals (`segment`).
+therefore restarts from the measurement at intervals (`segment`), where nothing touches:
+a tenth of a millimetre too far into a contact is a blow.
 """
 
 from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from itertools import batched, pairwise
+from dataclasses import replace
+from itertools import batched
 
 import mujoco
 import numpy as np
-from numpy.typing import NDArray
 
 from rlco.errors import DataError, counted
 from rlco.gap.compare.noise import measurement_noise
@@ -29,6 +29,7 @@ from rlco.gap.demos.replay.channels import (
 )
 from rlco.gap.demos.replay.plants import TOLERANCES, Plant, Plants
 from rlco.gap.demos.replay.rollouts import ROWS, Job, Rollouts
+from rlco.gap.demos.replay.segments import RUN_IN, Mask, Segment, segments_of
 from rlco.gap.demos.replay.tracks import Track, Tracker, robot_geoms
 from rlco.gap.logs.log import Array, Log, Recording
 from rlco.physics.effects import AppliedEffect, Effect, searched
@@ -42,23 +43,9 @@ from rlco.physics.tasks.make_task import make_task
 
 _TOUCH = 0.002  # distance that counts as contact [m]
 _MOVING = 0.02  # speed that counts as motion [m/s]
-_RUN_IN = 2  # rows after which an arm has forgotten its initial velocity
 _LAGGING = 4  # further rows after which lagging actuators have settled
 _DAMPING = (0.03, 0.2)  # of the torque that holds a joint's links, at 1 rad/s
 _FINEST = 1e-5  # smallest noise of a channel [m or rad]
-
-
-@dataclass(frozen=True)
-class Segment:
-    """Rows `first` to `last` of a recording, simulated from `first`.
-
-    The arm's velocity there comes from simulating the rows from `begin` on.
-    """
-
-    recording: int
-    begin: int
-    first: int
-    last: int
 
 
 class TaskSpaceProblem(Problem):
@@ -69,7 +56,8 @@ class TaskSpaceProblem(Problem):
         log: Recordings with `command` (T, A), the task's actions, and `extra` columns
             named as in rlco's data sets (``tool.x``, ``red_cube.x``).
         domain: The simulator that is compared with the log.
-        segment: Seconds of a simulation from a measured state; None for whole episodes.
+        segment: Seconds of a simulation from a measured state, more where something
+            touches or an object moves at its end; None for whole episodes.
         threads: Python threads; one per core by default.
         rollouts: Existing simulations of this task and domain, to reuse.
         draws: Number of draws of initial states that estimate the effect of their
@@ -120,7 +108,9 @@ class TaskSpaceProblem(Problem):
         self.segments = [
             segment
             for index, recording in enumerate(log.recordings)
-            for segment in _segments(index, recording, self._period, steps)
+            for segment in segments_of(
+                index, recording, self._period, steps, self.touching(index)
+            )
         ]
         self.layout = self._layout()
         self.noise: Array = self._noise(noise[compared], draws)
@@ -178,7 +168,7 @@ class TaskSpaceProblem(Problem):
             "contact": self.touching(recording),
         }
 
-    def touching(self, recording: int) -> NDArray[np.bool_]:
+    def touching(self, recording: int) -> Mask:
         """Return the rows with contact of the robot or motion of an object, (T,).
 
         Judged by the measured state; what is within 2 mm touches.
@@ -286,7 +276,7 @@ class TaskSpaceProblem(Problem):
     def _job(self, plant: Plant, segment: Segment, track: Track) -> Job:
         actions, first = self._actions[segment.recording], segment.first
         start = track.start(plant.control, actions, first)
-        rows = _RUN_IN + _LAGGING * plant.control.acting.lags
+        rows = RUN_IN + _LAGGING * plant.control.acting.lags
         earlier = max(segment.begin, first - rows)
         way = track.start(plant.control, actions, earlier)
         before = way, actions[earlier:first]
@@ -377,20 +367,3 @@ def _check_recording(recording: Recording, task: Task) -> None:
         raise DataError(
             f"{recording.name} has {counted(recording.rows, 'row')}; give five or more."
         )
-
-
-def _segments(
-    index: int, recording: Recording, period: float, length: int | None
-) -> list[Segment]:
-    """Cut a recording into segments of about equal length, without gaps in time."""
-    gaps = np.flatnonzero(np.diff(recording.time) > 1.5 * period) + 1
-    found = []
-    for begin, end in zip([0, *gaps], [*gaps, recording.rows], strict=True):
-        first = int(begin) + _RUN_IN
-        rows = int(end) - 1 - first
-        if rows < 2:
-            continue
-        count = 1 if length is None else max(1, round(rows / length))
-        edges = np.linspace(first, end - 1, count + 1).round().astype(int).tolist()
-        found += [Segment(index, int(begin), a, b) for a, b in pairwise(edges)]
-    return found
