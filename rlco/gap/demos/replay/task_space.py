@@ -56,8 +56,9 @@ class TaskSpaceProblem(Problem):
         log: Recordings with `command` (T, A), the task's actions, and `extra` columns
             named as in rlco's data sets (``tool.x``, ``red_cube.x``).
         domain: The simulator that is compared with the log.
-        segment: Seconds of a simulation from a measured state, more where something
-            touches or an object moves at its end; None for whole episodes.
+        segment: Seconds of a simulation from a measured state; None for whole episodes.
+        whole_contacts: Whether a simulation goes on where something touches or an
+            object moves at its end, up to three times as long.
         threads: Python threads; one per core by default.
         rollouts: Existing simulations of this task and domain, to reuse.
         draws: Number of draws of initial states that estimate the effect of their
@@ -82,6 +83,7 @@ class TaskSpaceProblem(Problem):
         *,
         domain: GivenDomain = "sim",
         segment: float | None = 1.0,
+        whole_contacts: bool = True,
         threads: int | None = None,
         rollouts: Rollouts | None = None,
         draws: int = 2,
@@ -107,9 +109,13 @@ class TaskSpaceProblem(Problem):
         steps = None if segment is None else max(2, round(segment / self._period))
         self.segments = [
             segment
-            for index, recording in enumerate(log.recordings)
+            for index, one in enumerate(log.recordings)
             for segment in segments_of(
-                index, recording, self._period, steps, self.touching(index)
+                index,
+                one,
+                self._period,
+                steps,
+                self.touching(index) if whole_contacts else np.zeros(one.rows, bool),
             )
         ]
         self.layout = self._layout()
