@@ -105,7 +105,7 @@ class Plants:
             checked(self.plain, effect, controlled=True)
             for effect in in_model(domain.model_effects, self.plain)
         )
-        self.nominal = self.plant(Hypothesis())
+        self.nominal = self._compiled(Hypothesis())
 
     @property
     def objects(self) -> Sequence[str]:
@@ -113,11 +113,16 @@ class Plants:
         return self._bodies[: len(self.task.objects)]
 
     def plant(self, hypothesis: Hypothesis) -> Plant:
-        """Compile the model under a hypothesis.
+        """Return the model compiled under a hypothesis.
 
         Raises:
             EffectError: If an effect adds joints or actuators.
         """
+        if not hypothesis.effects and not any(hypothesis.spread):
+            return self.nominal  # to compile it takes as long as a second of physics
+        return self._compiled(hypothesis)
+
+    def _compiled(self, hypothesis: Hypothesis) -> Plant:
         spec, plain = self.spec, self.plain
         stiffness, damping = self._gains
         if any(hypothesis.spread):
