@@ -44,6 +44,11 @@ class Scale:
     size: float
     measured: float
 
+    @property
+    def is_measured(self) -> bool:
+        """Whether the motion has about this size."""
+        return 1.0 / _NEAR < self.size / max(self.measured, 1e-12) < _NEAR
+
 
 @dataclass(frozen=True)
 class Gripper:
@@ -88,10 +93,8 @@ def nearest_scale(measured: float, known: Mapping[str, float]) -> Scale:
         ('parts of 5 cm', '')
     """
     name = min(known, key=lambda n: abs(np.log(known[n] / max(measured, 1e-12))))
-    ratio = known[name] / max(measured, 1e-12)
-    if 1.0 / _NEAR < ratio < _NEAR:
-        return Scale(name, known[name], measured)
-    return Scale("", measured, measured)
+    scale = Scale(name, known[name], measured)
+    return scale if scale.is_measured else Scale("", measured, measured)
 
 
 def read_gripper(numbers: Sequence[Array], openings: Sequence[Array | None]) -> Gripper:

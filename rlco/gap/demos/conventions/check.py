@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -30,7 +31,7 @@ from rlco.gap.demos.conventions.likely import (
     EXPLAINED,
     best_distinct,
     likeliest_state,
-    move_scales,
+    move_scale,
     turn_conventions,
 )
 from rlco.gap.demos.conventions.nominal_response import nominal_responses
@@ -111,11 +112,6 @@ class Conventions:
         if self.moves.lead > 0:
             phrases.append("each row holds the action that preceded it, not the next")
         return tuple(phrases)
-
-    @property
-    def fitted_sizes(self) -> int:
-        """Number of units whose size is a measured one, not a known one."""
-        return sum(not scale.name for scale in (self.move_scale, self.turn_scale))
 
     @property
     def is_named(self) -> bool:
@@ -248,7 +244,7 @@ def check_conventions(
         Conventions(
             state,
             move.convention,
-            move_size,
+            move_scale(positions, move, responses[0]),
             turn,
             scale,
             gripper,
@@ -257,7 +253,6 @@ def check_conventions(
             move.explained,
         )
         for move in moves
-        for move_size in move_scales(positions, move, responses[0])
         for turn, scale in turns
     ]
     if moves[0].explained < EXPLAINED:
@@ -271,17 +266,22 @@ def _replayed(
 ) -> Conventions:
     """Replay a log under several conventions, and return the one with the least error.
 
-    Of those with about the same error, the first is returned. Those with a unit of a
-    fitted size must leave far less.
+    Of those with about the same error, the first is returned. Where the motion measured
+    the size of no known unit, it is fitted, and must leave far less.
     """
-    found = [_fitted(one, log, rollouts) for one in found]
     errors = [_miss(one.apply(log), rollouts) for one in found]
     totals = [position + _ARM * turn for position, turn in errors]
     best = 0
     for number, total in enumerate(totals):
-        fitted = found[number].fitted_sizes > found[best].fitted_sizes
-        if total < (_FITTED if fitted else _BETTER) * totals[best]:
+        if total < _BETTER * totals[best]:
             best = number
+    fitted = _fitted(found[best], log, rollouts)
+    if fitted is not found[best]:
+        found = [*found, fitted]
+        errors.append(_miss(fitted.apply(log), rollouts))
+        totals.append(errors[-1][0] + _ARM * errors[-1][1])
+        if totals[-1] < _FITTED * totals[best]:
+            best = len(found) - 1
     chosen = replace(found[best], error=errors[best][0])
     phrases = [
         f"whether {' and '.join(one.changes) or 'nothing differs'} instead"
@@ -294,15 +294,19 @@ def _replayed(
 
 
 def _fitted(one: Conventions, log: Log, rollouts: Rollouts) -> Conventions:
-    """Return conventions with the sizes of no known unit as replays fit best."""
-    fields = [f for f in ("move_scale", "turn_scale") if not getattr(one, f).name]
-    if not fields:
+    """Return conventions with sizes as replays fit best, where they are not as known.
+
+    The given ones where the motion measured the sizes that they have.
+    """
+    scales = {"move_scale": one.move_scale, "turn_scale": one.turn_scale}
+    far = {field: scale for field, scale in scales.items() if not scale.is_measured}
+    if not far:
         return one
 
     def resized(factors: Array) -> Conventions:
-        sizes = {
-            field: replace(getattr(one, field), size=getattr(one, field).size * factor)
-            for field, factor in zip(fields, factors, strict=True)
+        sizes: dict[str, Any] = {
+            field: Scale("", scale.measured * factor, scale.measured)
+            for (field, scale), factor in zip(far.items(), factors, strict=True)
         }
         return replace(one, **sizes)
 
@@ -310,7 +314,7 @@ def _fitted(one: Conventions, log: Log, rollouts: Rollouts) -> Conventions:
         position, turn = _misses(resized(factors).apply(log), rollouts)
         return np.concatenate([position.ravel(), _ARM * turn.ravel()])
 
-    ones = np.ones(len(fields))
+    ones = np.ones(len(far))
     return resized(least_squares(missed, ones, diff_step=0.02, max_nfev=_FITS).x)
 
 

@@ -70,13 +70,9 @@ def best_distinct(ranking: Sequence[Score]) -> list[Score]:
     return [s for s in near if s.convention.deviations <= simple][:_MOST]
 
 
-def move_scales(motions: Sequence[Motion], one: Score, nominal: Score) -> list[Scale]:
-    """Return the sizes that one unit of the translations may have, a known one first.
-
-    What is the size of no unit may be the controller's, or a robot's that moves less
-    than the simulator: with a damping, behind a soft servo.
-    """
-    return _scales(motions, one, nominal, MOVES)
+def move_scale(motions: Sequence[Motion], one: Score, nominal: Score) -> Scale:
+    """Return the size of one unit of the translations."""
+    return _scale(motions, one, nominal, MOVES)
 
 
 def turn_conventions(
@@ -93,8 +89,7 @@ def turn_conventions(
     best = best_distinct(ranking)[0]
     if best.explained >= EXPLAINED:
         chosen = usual if usual.residual <= _TIE * best.residual else best
-        sizes = _scales(turned, chosen, nominal, TURNS)
-        return [(chosen.convention, scale) for scale in sizes]
+        return [(chosen.convention, _scale(turned, chosen, nominal, TURNS))]
     flipped = replace(same, axes=("-x", "-y", "-z"))
     whole, radians = (known_scale(n, TURNS) for n in list(TURNS)[:2])
     if moves.kind == "absolute":
@@ -102,11 +97,11 @@ def turn_conventions(
     return [(same, whole), (flipped, whole), (same, radians)]
 
 
-def _scales(
+def _scale(
     motions: Sequence[Motion], one: Score, nominal: Score, known: Mapping[str, float]
-) -> list[Scale]:
+) -> Scale:
     own = known_scale(next(iter(known)), known)
     if one.convention.kind == "absolute" or one.explained < EXPLAINED:
-        return [own]
+        return own
     nearest = nearest_scale(size(motions, one.convention, nominal), known)
-    return [nearest] if nearest.name else [own, nearest]
+    return nearest if nearest.name else replace(own, measured=nearest.measured)
