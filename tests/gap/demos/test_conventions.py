@@ -14,6 +14,7 @@ from task_recordings import EPISODES, plain_log, record, rollouts
 
 from rlco.errors import DataError
 from rlco.gap.compare.problem import Hypothesis
+from rlco.gap.demos.conventions import check as checks
 from rlco.gap.demos.conventions.action_units import read_gripper
 from rlco.gap.demos.conventions.actions import (
     ActionConvention,
@@ -259,6 +260,15 @@ def test_a_unit_of_a_size_of_its_own_is_fitted() -> None:
     )
     assert found.move_scale.size == pytest.approx(0.1, rel=1e-3)
     assert found.error < 2e-3
+
+
+def test_replays_that_diverge_fit_no_size(monkeypatch: pytest.MonkeyPatch) -> None:
+    # No recording is known that diverges with larger actions alone.
+    lost = np.full((10, 3), np.inf)
+    monkeypatch.setattr(checks, "_misses", lambda log, rollouts: (lost, lost))
+    found = check(with_actions(in_parts_of_ten_centimetres))
+    assert found.move_scale.size == 0.05
+    assert found.error == np.inf
 
 
 @pytest.mark.slow

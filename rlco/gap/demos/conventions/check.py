@@ -62,6 +62,7 @@ _BETTER = 0.9  # ratio of replay errors at which a convention is preferred
 # not well; an effect explains it.
 _FITTED = 0.5
 _FITS = 4  # iterations of a fit of sizes
+_LOST = 1.0  # error that a replay that diverges counts as [m]
 _ARM = 0.1  # distance at which a rotation error counts as a position error [m/rad]
 _FULL_MOVE, _FULL_TURN = MOVES["parts of 5 cm"], TURNS["parts of 0.5 rad"]
 
@@ -312,7 +313,8 @@ def _fitted(one: Conventions, log: Log, rollouts: Rollouts) -> Conventions:
 
     def missed(factors: Array) -> Array:
         position, turn = _misses(resized(factors).apply(log), rollouts)
-        return np.concatenate([position.ravel(), _ARM * turn.ravel()])
+        rows = np.concatenate([position.ravel(), _ARM * turn.ravel()])
+        return np.clip(rows, -_LOST, _LOST)
 
     ones = np.ones(len(far))
     return resized(least_squares(missed, ones, diff_step=0.02, max_nfev=_FITS).x)
