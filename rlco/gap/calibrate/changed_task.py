@@ -123,7 +123,7 @@ def _usual_size(problem: TaskSpaceProblem) -> Array:
     layout = problem.layout
     noise = problem.noise[layout.channel]
     scaled = problem.residuals([Hypothesis()])[0] / noise
-    bound = Outliers.of(scaled, seconds_of(layout)).bound(scaled)
+    bound = Outliers.of(scaled, seconds_of(layout)).cut(scaled)
     counts = np.bincount(layout.channel, minlength=len(problem.noise))
     squares = np.bincount(layout.channel, bound**2, minlength=len(problem.noise))
     return np.asarray(np.sqrt(squares / counts) * problem.noise)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -58,11 +59,28 @@ class Outliers:
             >>> seconds.bound(np.array([0.1, -0.1, 40.0, 40.0])).round(2).tolist()
             [0.1, -0.1, 2.0, 2.0]
         """
+        return self._scaled(residuals, lambda cost: 1.0 + cost / self.limit)
+
+    def cut(self, residuals: Array) -> Array:
+        """Return residuals (..., N) whose blocks cost at most the limit.
+
+        For a size that is to be known, not to be made small: what costs less stays as
+        it is.
+
+        Example:
+            >>> seconds = Outliers(np.array([0, 0, 1, 1]), limit=4.0)
+            >>> seconds.cut(np.array([1.0, -1.0, 40.0, 40.0])).tolist()
+            [1.0, -1.0, 2.0, 2.0]
+        """
+        return self._scaled(residuals, lambda cost: np.maximum(cost / self.limit, 1.0))
+
+    def _scaled(self, residuals: Array, divisor: Callable[[Array], Array]) -> Array:
+        """Return residuals with each block's mean square divided."""
         _, place = np.unique(self.blocks, return_inverse=True)
         counts = np.bincount(place)
         flat = residuals.reshape(-1, residuals.shape[-1])
         out = np.empty_like(flat)
         for row, residual in enumerate(flat):
-            sizes = np.bincount(place, weights=residual**2) / counts
-            out[row] = residual / np.sqrt(1.0 + sizes / self.limit)[place]
+            cost = np.bincount(place, weights=residual**2) / counts
+            out[row] = residual / np.sqrt(divisor(cost))[place]
         return out.reshape(residuals.shape)
