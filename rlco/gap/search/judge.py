@@ -13,7 +13,7 @@ from rlco.gap.compare.problem import Candidate
 from rlco.gap.search.fit import Library, usual_size
 from rlco.gap.search.setting import Scored, Setting
 from rlco.gap.search.state import State
-from rlco.physics.effects import AppliedEffect
+from rlco.physics.effects import AppliedEffect, Parameter
 
 LARGEST = 4  # maximum number of effects
 NEAR_FLOOR = 1.3  # error over the noise floor above which something is missing
@@ -28,6 +28,14 @@ NAMED = ("named", "ambiguous")
 
 def at_bounds(library: Library, effects: Sequence[AppliedEffect]) -> bool:
     """Return whether a parameter reached its bound: another effect is then likely."""
+    return bool(reached_bounds(library, effects))
+
+
+def reached_bounds(
+    library: Library, effects: Sequence[AppliedEffect]
+) -> list[tuple[AppliedEffect, Parameter]]:
+    """Return the parameters that reached the largest or smallest value searched."""
+    reached = []
     for effect in effects:
         known = library[Candidate(effect.name, effect.target)]
         for parameter, value in zip(known, effect.values, strict=True):
@@ -36,8 +44,8 @@ def at_bounds(library: Library, effects: Sequence[AppliedEffect]) -> bool:
             away = abs(value - parameter.neutral) > near
             low, high = value - parameter.low < near, parameter.high - value < near
             if away and (low or high):
-                return True
-    return False
+                reached.append((effect, parameter))
+    return reached
 
 
 def is_rival(setting: Setting, best: Scored, one: Scored) -> bool:

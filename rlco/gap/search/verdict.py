@@ -17,6 +17,7 @@ from rlco.gap.search.judge import (
     found,
     is_noise,
     kind,
+    reached_bounds,
     residual_share,
 )
 from rlco.gap.search.posterior import sample
@@ -94,7 +95,24 @@ def _unexplained(state: State, residual: Residual) -> Mapping[str, object]:
         note = f"{note}; {tolerance} would leave as much"
     elif best.effects and after > LOUD:
         note = f"{note}; {DOUBT}"
+    elif not best.effects:
+        note = "; ".join((note, *_at_bounds(state)))
     return {"share": share, "target": residual.target, "note": note}
+
+
+def _at_bounds(state: State) -> list[str]:
+    """Say which effects are not named because no value that is searched suffices."""
+    told = []
+    for effect, parameter in reached_bounds(state.setting.library, state.best.effects):
+        value = effect.parameters[parameter.name]
+        size = f"{value:.3g} {parameter.unit}".strip()
+        most = "most" if value > parameter.neutral else "least"
+        place = f"{effect.name} {effect.target or ''}".strip()
+        told.append(
+            f"{place} is not named: its {parameter.name} reached {size}, the {most} "
+            "that is searched"
+        )
+    return told
 
 
 def _beside_outside(residual: Residual) -> Mapping[str, object]:

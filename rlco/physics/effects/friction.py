@@ -9,7 +9,15 @@ import mujoco
 import numpy as np
 
 from rlco.physics.effects.effect import Array, Effect, Parameter, Present, joint_of
-from rlco.physics.effects.targets import dof_of, driven_joints, holding_torque, joints
+from rlco.physics.effects.targets import (
+    dof_of,
+    driven_joints,
+    holding_torque,
+    joints,
+    motor_torque,
+)
+
+_SLOWEST = 0.25  # rad/s, or m/s, that a motor reaches against the strongest damping
 
 
 def _coulomb_friction_parameters(
@@ -50,7 +58,9 @@ def _viscous_damping_parameters(
     present = float(model.dof_damping[dof_of(model, str(target))])
     scale = max(present, 0.05)
     starts = (0.5 * scale, 4.0 * scale, -0.4 * present)
-    most = max(200 * scale, holding_torque(model, str(target)))
+    # Beyond, a motor at its limit hardly moves the joint.
+    slowest = motor_torque(model, str(target)) / _SLOWEST
+    most = max(200 * scale, holding_torque(model, str(target)), slowest)
     size = ("damping", "N m s/rad", -0.95 * present, most, 0.0, starts)
     return (Parameter(*size, present=Present(present)),)
 

@@ -129,6 +129,26 @@ def holding_torque(model: mujoco.MjModel, joint: str) -> float:
     return max(float(below * gravity * arm), 3.0 * float(inertia), 1e-2)
 
 
+def motor_torque(model: mujoco.MjModel, joint: str) -> float:
+    """Return the largest torque [N m, or N] a model lets a joint's motor have.
+
+    0 where no motor drives the joint, or the model limits neither its torque nor the
+    commands of a motor whose commands are torques.
+    """
+    actuator = actuator_of(model, joint)
+    if actuator < 0:
+        return 0.0
+    gear = abs(float(model.actuator_gear[actuator, 0]))
+    if model.actuator_forcelimited[actuator]:
+        return gear * float(np.abs(model.actuator_forcerange[actuator]).max())
+    fixed = model.actuator_gaintype[actuator] == mujoco.mjtGain.mjGAIN_FIXED
+    free = model.actuator_biastype[actuator] == mujoco.mjtBias.mjBIAS_NONE
+    if not (model.actuator_ctrllimited[actuator] and fixed and free):
+        return 0.0
+    gain = abs(float(model.actuator_gainprm[actuator, 0]))
+    return gear * gain * float(np.abs(model.actuator_ctrlrange[actuator]).max())
+
+
 def _free(model: mujoco.MjModel, body: int) -> bool:
     root = int(model.body_rootid[body])
     first = int(model.body_jntadr[root])

@@ -150,8 +150,12 @@ def test_what_ran_to_its_bounds_leaves_a_clear_gap_unexplained() -> None:
     state = _knowing(state, {**library, known: (tight,)})
     ran = AppliedEffect(known.name, known.target, {"damping": tight.high})
     state, (best,) = state.fit([[ran]])
-    state = closed(replace(state, best=best))
-    assert conclude(state, complete=False).verdict == "unexplained"
+    verdict = conclude(closed(replace(state, best=best)), complete=False)
+    assert verdict.verdict == "unexplained"
+    reached = "its damping reached 0.2 N m s/rad, the most that is searched"
+    assert f"viscous_damping elbow is not named: {reached}" in str(
+        verdict.unexplained["note"]
+    )
 
 
 def test_intervals_are_as_wide_as_the_spread_where_an_arm_hardly_holds() -> None:

@@ -213,6 +213,28 @@ def test_friction_by_direction_resists_by_what_it_says(
     assert friction[0] - np.sign(velocity) * torque[0] == pytest.approx(resists)
 
 
+@pytest.mark.parametrize(
+    ("motor", "most"),
+    [
+        # 80 N m move the joint at a quarter of a radian a second against this.
+        ('<motor joint="j" ctrlrange="-80 80"/>', 320.0),
+        ('<motor joint="j" ctrlrange="-8 8" gear="-5"/>', 160.0),
+        ('<position joint="j" kp="40" forcerange="-30 15" gear="2"/>', 240.0),
+        # No limit of torque is stated, or one that matters less than what is there.
+        ('<position joint="j" kp="40" ctrlrange="-80 80"/>', 20.0),
+        ('<motor joint="j"/>', 20.0),
+        ('<motor joint="j" ctrlrange="-1 1"/>', 20.0),
+    ],
+)
+def test_damping_is_searched_up_to_what_holds_a_motor(motor: str, most: float) -> None:
+    xml = f"""<mujoco><worldbody><body><joint name="j" axis="0 0 1" damping="0.1"/>
+    <geom size=".1" mass="1"/></body></worldbody><actuator>{motor}</actuator></mujoco>
+    """
+    model = mujoco.MjModel.from_xml_string(xml)
+    (damping,) = EFFECTS["viscous_damping"].parameters(model, "j")
+    assert damping.high == pytest.approx(most)
+
+
 def test_parameters_at_a_slide_have_the_units_of_one() -> None:
     xml = """<mujoco><worldbody><body name="cart"><joint name="{0}" type="{0}"
     damping="2"/><geom size=".1" mass="1"/></body></worldbody><actuator>
