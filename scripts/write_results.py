@@ -32,6 +32,8 @@ BENCHMARKS = ROOT / "benchmarks"
 #: Where the cells of an experiment are, if not in a folder of its name.
 ON_PUSH_CUBE = ("alignment", "two_by_two", "length", "methods", "adapted")
 CELLS = dict.fromkeys(ON_PUSH_CUBE, "push_cube")
+CELLS |= dict.fromkeys(("encoders", "sight_rl", "paper_images"), "sight")
+CELLS |= dict.fromkeys(("generalisation", "data", "alpha"), "paper")
 MARKED = re.compile(
     r"(<!-- results (\w+)(?:: ([^>]+))? -->\n).*?(<!-- end -->)", re.DOTALL
 )
