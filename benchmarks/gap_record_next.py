@@ -5,7 +5,8 @@
 Run it with OMP_NUM_THREADS=1, after ``gap_naming.py out=...``: of its cases it takes
 those whose answer left rivals, sends the first proposed motion to the plant that made
 the case, adds the recording, cut into four of five seconds so that some of it is held
-out, and searches once more. Prints a table; one line a case goes to
+out, and searches once more. Where no motion is said to tell rivals apart, that is
+counted. Prints a table; one line a case goes to
 ``OUT/record_next.jsonl``, and started again it goes on.
 """
 
@@ -27,6 +28,7 @@ from gap_recording import read_out
 from gap_scoring import judge, share_of
 from gap_search_case import answer
 
+from rlco.gap.diagnose.proposals import NO_MOTION
 from rlco.gap.diagnose.record_next import Motion, recommend
 from rlco.gap.logs import read_log
 from rlco.gap.logs.log import Log, Recording
@@ -94,12 +96,10 @@ def closed(folder: Path) -> Row:
     log = read_log(folder / "data", loaded)
     problem = make_problem(loaded, log)
     first = find_gap(problem)
-    motions = [
-        (motion, motion.commands)
-        for motion in recommend(problem, first)
-        if motion.commands is not None
-    ]
+    proposed = recommend(problem, first)
+    motions = [(m, m.commands) for m in proposed if m.commands is not None]
     row: Row = {"name": folder.name, "before": answer(first), "motion": None}
+    row["no_motion"] = [m.name for m in proposed if m.name.startswith(NO_MOTION)]
     if motions:
         more = [
             part
@@ -138,16 +138,22 @@ def main(config: Config) -> None:
     print("|---|---|---|---|---|")
     for row in rows:
         after = members(row["after"]) if row["motion"] else "-"
-        cells = [row["name"], members(row["before"]), row["motion"] or "-", after]
+        motion = row["motion"] or ("none can" if row["no_motion"] else "-")
+        cells = [row["name"], members(row["before"]), motion, after]
         print("| " + " | ".join([*cells, "yes" if row.get("exact") else "no"]) + " |")
+    unclear_before = [
+        row for row in rows if any(e["rivals"] for e in row["before"]["effects"])
+    ]
+    # Said beforehand that no motion tells its rivals apart: nothing was recorded.
+    said = [bool(row["no_motion"]) and not row["motion"] for row in unclear_before]
     alone = [
-        bool(row["motion"])
-        and bool(row["after"]["effects"])
+        bool(row["after"]["effects"])
         and not any(e["rivals"] for e in row["after"]["effects"])
-        for row in rows
-        if any(e["rivals"] for e in row["before"]["effects"])
+        for row in unclear_before
+        if row["motion"]
     ]
     print(f"\nclasses that one motion makes single: {share_of(alone)}, wanted 90 %")
+    print(f"classes that no motion is said to make single: {share_of(said)}")
 
 
 if __name__ == "__main__":

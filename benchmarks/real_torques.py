@@ -80,10 +80,13 @@ def beside_calibration(loaded: LoadedModel, log: Log) -> list[real_data.Row]:
     )
     changes = zip(summary.nominal, summary.calibrated, strict=True)
     middle = log.recordings[0].rows // 2
+    found = [_named_beyond(loaded, prepared)]
     halves_said = []
     for rows in (slice(0, middle), slice(middle, None)):
         half = replace(log, recordings=(log.recordings[0].take(rows),))
-        halves_said.append(real_data.said(_calibrated(loaded, half)[0]))
+        said, of_half = _calibrated(loaded, half)
+        halves_said.append(real_data.said(said))
+        found.append(_named_beyond(loaded, of_half))
     return [
         (
             "calibrate=usual: left unexplained",
@@ -103,7 +106,23 @@ def beside_calibration(loaded: LoadedModel, log: Log) -> list[real_data.Row]:
             "no name that a half does not confirm",
             "-",
         ),
+        (
+            "calibrate=usual: numbers beyond their priors, and in each half",
+            "; ".join(found),
+            "-",
+            "-",
+        ),
     ]
+
+
+def _named_beyond(loaded: LoadedModel, prepared: Prepared) -> str:
+    """Return in words which numbers a calibration found beyond what is usual."""
+    if prepared.summary is None:
+        return "not calibrated"
+    found = prepared.summary.named(loaded.model)
+    return (
+        ", ".join(f"{one.name} {one.target or ''}".strip() for one in found) or "none"
+    )
 
 
 def _calibrated(loaded: LoadedModel, log: Log) -> tuple[Verdict, Prepared]:

@@ -65,6 +65,25 @@ def test_a_load_is_named_though_all_numbers_of_the_model_are_wrong(
     assert named(verdict) == [("payload", "lower")]
     mass = verdict.effects[0].parameters["mass"]
     assert mass.value == pytest.approx(0.1, rel=0.15)
+    assert verdict.free_form is None
+
+
+def pushed_along_its_path(model: mujoco.MjModel, data: mujoco.MjData) -> None:
+    """Push at the elbow by where it is, as no effect that is tried does."""
+    data.qfrc_applied[1] = 0.1 * np.sin(3.0 * data.qpos[1])
+
+
+def test_a_change_outside_the_library_is_drawn_at_its_joint(
+    arm: LoadedModel, before: Log
+) -> None:
+    after = record_torques(wrong_everywhere, seed=3, act=pushed_along_its_path)
+    free = changed(arm, before, after).free_form
+    assert free is not None
+    assert free.target == "elbow"
+    position, torque = free.over_position
+    pushed = 0.1 * np.sin(3.0 * position)
+    assert np.corrcoef(torque, pushed)[0, 1] > 0.95
+    assert np.std(torque) == pytest.approx(np.std(pushed), rel=0.3)
 
 
 def test_a_factor_of_a_torque_is_named_and_not_converted(

@@ -63,6 +63,10 @@ class Changed(Problem):
         """Return changes of the residuals by guessed commands, (K, N)."""
         return np.asarray(self.base.by_guesses(hypothesis) * self.weight)
 
+    def weighted_base(self) -> tuple[Problem, Array]:
+        """Return the comparison with the later recording, and its rows' weights."""
+        return self.base, self.weight
+
     def runs(self, hypothesis: Hypothesis, recordings: Sequence[int]) -> Sequence[Run]:
         """Return the rollouts of some recordings, see `Problem.runs`."""
         return self.base.runs(hypothesis, recordings)

@@ -156,8 +156,8 @@ class Problem(Protocol):
     """A robot's model and log, and the comparison of simulation with measurement.
 
     Subclass it, or implement its members; `has_outliers`, `calibration`,
-    `noise_was_observed`, `inexact`, `usual_sizes`, `by_guesses` and `runs` have
-    defaults.
+    `noise_was_observed`, `inexact`, `usual_sizes`, `by_guesses`, `runs` and
+    `weighted_base` have defaults.
     """
 
     model: mujoco.MjModel
@@ -202,6 +202,13 @@ class Problem(Protocol):
         Each for one standard deviation of a guess; none where nothing is guessed.
         """
         return np.zeros((0, len(self.layout.recording)))
+
+    def weighted_base(self) -> tuple[Problem, Array]:
+        """Return the plain comparison that this one is of, and its rows' weights, (N,).
+
+        One that is of no other is its own, all rows alike.
+        """
+        return self, np.ones(len(self.layout.recording))
 
     def runs(self, hypothesis: Hypothesis, recordings: Sequence[int]) -> Sequence[Run]:
         """Return the rollouts of some recordings, to locate a divergence.

@@ -41,7 +41,9 @@ _SECOND = 1.0  # between knots of the torque over time [s]
 
 def free_form(state: State) -> State:
     """Return the state with the free form that does clearly better, if there is one."""
-    setting, problem = state.setting, state.setting.problem
+    setting = state.setting
+    # What was lacking before is subtracted from a later recording: the change is not.
+    problem, weight = setting.problem.weighted_base()
     if state.free_form is not None or kind(state) not in (*NAMED, "unexplained"):
         return state
     if not isinstance(problem, ArmRollouts | TorqueLog):
@@ -51,7 +53,7 @@ def free_form(state: State) -> State:
     order = (*setting.train, *setting.heldout)
     winner: tuple[float, Form, Array, Array] | None = None
     for free in _forms(problem, hypothesis, sorted(order)):
-        columns = _whitened(setting, free)
+        columns = _whitened(setting, free.moved * weight)
         amounts = _fitted(columns, best.everything, len(best.fit.residual))
         better = best.everything + amounts @ columns
         error = _heldout(better, len(best.fit.residual))
@@ -113,10 +115,10 @@ def _heldout(everything: Array, training: int) -> float:
     return float(np.sqrt(np.mean(everything[training:] ** 2)))
 
 
-def _whitened(setting: Setting, free: Form) -> Array:
+def _whitened(setting: Setting, moved: Array) -> Array:
     """Return whitened changes of all residuals, training first, (knots, N)."""
     order = training_first(setting.problem, setting.train, setting.heldout)
-    return setting.weights.together.whiten(free.moved[:, order])
+    return setting.weights.together.whiten(moved[:, order])
 
 
 def _fitted(columns: Array, residual: Array, training: int) -> Array:
