@@ -65,6 +65,7 @@ def row_of(case: Case, verdict: Verdict, hidden: Sequence[Hidden], shows: float)
         "truth": true(hidden),
         "shows": round(shows, 2),
         "share": verdict.unexplained["share"],
+        "doubt": None if verdict.free_form is None else verdict.free_form.target,
         "closest": [[c.name, c.target, s] for c, s in verdict.closest],
     }
     return row | judged(row)
@@ -122,8 +123,9 @@ def table(rows: Sequence[Row]) -> str:
     """Return the results in Markdown."""
     lines = [
         "| group | cases | names exact | or in the class | exact, size within 15 % "
-        "| the same of those that show | named | median CPU s |",
-        "|---" * 8 + "|",
+        "| the same of those that show | exact, without rivals | named | doubted "
+        "| median CPU s |",
+        "|---" * 10 + "|",
     ]
     kinds = {row["group"]: None for row in rows}
     for group in kinds:
@@ -134,11 +136,16 @@ def table(rows: Sequence[Row]) -> str:
         ]
         # No recording can show what changes less than its noise.
         cells.append(share_of([row["sized"] for row in inside if row["shows"] >= 1.0]))
+        sure = [not any(f["rivals"] for f in row["found"]) for row in inside]
+        cells.append(
+            share_of([a and row["exact"] for a, row in zip(sure, inside, strict=True)])
+        )
         some = share_of([bool(row["found"]) for row in inside])
+        doubted = share_of([row["doubt"] is not None for row in inside])
         seconds = float(np.median([row["cpu"] for row in inside]))
         lines.append(
             f"| {group} | {len(inside)} | {' | '.join(cells)} | {some} | "
-            f"{seconds:.0f} |"
+            f"{doubted} | {seconds:.0f} |"
         )
     return "\n".join(lines)
 
