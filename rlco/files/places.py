@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -38,6 +39,34 @@ set 'demos'; copy it into the data set, where it is one of its files.
             "into the data set, where it is one of its files."
         )
     return path
+
+
+def check_links(folder: Path) -> None:
+    """Refuse a run folder in which a link leads out of it.
+
+    What is written to a run would be written there, and a report would hold what lies
+    there. Folders that are linked are not looked into.
+
+    Raises:
+        DataError: A link does.
+
+    Example:
+        >>> check_links(Path("rlco"))
+    """
+    home = folder.resolve()
+    for place, folders, files in os.walk(folder):
+        for path in (Path(place, name) for name in (*folders, *files)):
+            if not path.is_symlink():
+                continue
+            with reading(path, advice="remove it"):  # of links that go in a circle
+                target = path.resolve()
+            if not target.is_relative_to(home):
+                raise DataError(
+                    f"{shown(str(path.relative_to(folder)))} of run folder "
+                    f"{str(folder)!r} is a link that leads out of it, to "
+                    f"{shown(str(target))}; copy what "
+                    "it links to into the folder, or remove it."
+                )
 
 
 def filled(

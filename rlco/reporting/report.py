@@ -16,6 +16,7 @@ from PIL import Image
 
 from rlco.errors import RlcoError
 from rlco.files import Fields, read_json, reading
+from rlco.files.places import check_links
 from rlco.files.texts import read_text
 from rlco.reporting.html import data_address, definitions, figure, page
 from rlco.reporting.plot_style import READING, styles
@@ -45,7 +46,8 @@ def write_report(
         The file.
 
     Raises:
-        RlcoError: The folder is not a run directory, or a file in it is damaged.
+        RlcoError: The folder is not a run directory, a file in it is damaged, or a link
+            leads out of it.
     """
     run_dir = Path(run_dir)
     if not (run_dir / "run.json").is_file():
@@ -53,6 +55,7 @@ def write_report(
             f"{str(run_dir)!r} is not a run directory: it has no run.json; give the "
             "folder that a recipe wrote."
         )
+    check_links(run_dir)
     info = read_json(run_dir / "run.json", advice="give the folder of another run")
     results = run_dir / "results.json"
     found = read_results(results, of_recipe=True) if results.is_file() else []

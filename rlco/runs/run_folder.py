@@ -18,6 +18,7 @@ from typing import Any
 
 from rlco.errors import OutputExistsError, RlcoError
 from rlco.files import Fields, read_json, shown
+from rlco.files.places import check_links
 from rlco.runs.options import started_by_rlco
 from rlco.runs.whole_files import sync_folder, write_text
 
@@ -116,8 +117,10 @@ def read_info(path: Path, recipe: str) -> Fields:
     """Read the run.json of a run that is to be resumed.
 
     Raises:
-        RlcoError: It is missing, damaged, or of another recipe.
+        RlcoError: It is missing, damaged, or of another recipe; or a link leads out of
+            the folder.
     """
+    check_links(path)
     info = read_json(
         path / "run.json",
         advice="give the folder of an earlier run as resume=DIR",

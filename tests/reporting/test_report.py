@@ -95,6 +95,21 @@ def test_report_needs_nothing_but_itself(run_dir: Path) -> None:
     assert not re.search(r"https?:|<script|@import|url\(", path.read_text("utf-8"))
 
 
+@pytest.mark.parametrize("name", ["videos/other.mp4", "config.yaml", "plots"])
+def test_no_report_holds_what_lies_elsewhere(run_dir: Path, name: str) -> None:
+    outside = run_dir.parent / "outside"
+    outside.write_text("not of this run")
+    link = run_dir / name
+    if link.is_dir():
+        link.rename(run_dir.parent / "moved")
+        outside = run_dir.parent / "moved"
+    link.unlink(missing_ok=True)
+    link.parent.mkdir(exist_ok=True)
+    link.symlink_to(outside)
+    with pytest.raises(RlcoError, match=f"'{name}' of run folder .* leads out of it"):
+        write_report(run_dir)
+
+
 def test_headline_and_table_hold_the_numbers(run_dir: Path) -> None:
     text = read(write_report(run_dir)).text
     assert "rl_co solves push_cube in 85 % of episodes in stand_in; sft in 25 %" in text

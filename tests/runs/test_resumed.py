@@ -52,6 +52,23 @@ def resume(out: Path, *more: str) -> None:
         assert run.load_checkpoint()["weight"].tolist() == [1, 1, 1]
 
 
+@pytest.mark.parametrize("name", ["log.txt", "metrics.csv", "checkpoints"])
+def test_a_run_is_not_resumed_out_of_its_folder(out: Path, name: str) -> None:
+    outside = out.parent / "outside"
+    (out / name).rename(outside)
+    (out / name).symlink_to(outside)
+    before = outside.read_bytes() if outside.is_file() else None
+    with pytest.raises(RlcoError, match=f"'{name}' of run folder .* leads out of it"):
+        resume(out)
+    assert before is None or outside.read_bytes() == before
+
+
+def test_a_link_within_a_run_is_followed(out: Path) -> None:
+    (out / "metrics.csv").rename(out / "kept.csv")
+    (out / "metrics.csv").symlink_to("kept.csv")
+    resume(out)
+
+
 def test_what_is_as_it_was_is_resumed(out: Path) -> None:
     before = (out / "metrics.csv").read_bytes()
     resume(out)
