@@ -91,6 +91,15 @@ def check_pretraining(options: StageOneOptions) -> None:
         raise ConfigError(problems)
 
 
+def say_unlabelled(options: StageOneOptions) -> None:
+    """Say so where an encoder for labelled scenes learns from demonstrations alone."""
+    if options.image == "dense" and not options.pretrain_scenes:
+        log.warning(
+            "image=dense learns from demonstrations alone, whose images are too few for "
+            "it; give pretrain_scenes=8000 image_fixed=true, or image=conv"
+        )
+
+
 def check_positions(options: StageOneOptions, task: Any) -> None:
     """Check that simulated rows say where things are, if that is to be learned.
 

@@ -119,7 +119,7 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
         DataError: A data set that does not fit the task.
     """
     from rlco.data import load_task_demos
-    from rlco.training.pretraining import check_positions
+    from rlco.training.pretraining import check_positions, say_unlabelled
 
     needed = _needs(options)
     task = None if options.task is None else task_of(options)
@@ -176,6 +176,7 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
     check_held_out(demos)
     if image_size is not None:
         say_drawn_otherwise(demos, options.renderer)
+        say_unlabelled(options)
     if image_size is None and not poses:
         say_blind(demos)
     policy_options.augment(options, *demos.present())

@@ -70,6 +70,17 @@ def test_a_fixed_encoder_stays_as_it_was_pretrained_and_a_trained_one_does_not(
     assert " mm on average in 400 new scenes" in log
 
 
+def test_an_encoder_that_learns_without_labels_is_warned_of(
+    drawn: Drawn, tmp_path: Path
+) -> None:
+    given = [*drawn.data, *SFT, *DENSE]
+    start("sft", *given, f"out={tmp_path / 'plain'}")
+    said = "image=dense learns from demonstrations alone"
+    assert said in (tmp_path / "plain/log.txt").read_text()
+    for labelled in (drawn.fixed, drawn.trained):
+        assert said not in (labelled / "log.txt").read_text()
+
+
 def ends_alike(cut: Path, whole: Path) -> bool:
     files = ("metrics.csv", "policy/policy.safetensors")
     return all((cut / one).read_bytes() == (whole / one).read_bytes() for one in files)
