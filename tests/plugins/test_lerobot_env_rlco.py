@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from lerobot.envs.configs import EnvConfig
 from lerobot.envs.factory import make_env
 from lerobot.envs.utils import env_to_policy_features, preprocess_observation
@@ -51,6 +52,23 @@ def test_a_camera_has_lerobots_name() -> None:
     assert seen["observation.images.front"].shape == (1, 3, 32, 32)
     assert float(seen["observation.images.front"].std()) > 0.01
     copies.close()
+
+
+def test_several_cameras_have_lerobots_names_in_their_order() -> None:
+    def frames(camera: str, cameras: str) -> dict[str, torch.Tensor]:
+        config = RlcoEnv(camera=camera, cameras=cameras, image_size=32)
+        (copies,) = make_env(config, n_envs=1)["rlco"].values()
+        observation, _ = copies.reset(seed=[0])
+        copies.close()
+        return preprocess_observation(observation)
+
+    both = frames("front,wrist", "agentview,robot0_eye_in_hand")
+    for camera, view in (("front", "agentview"), ("wrist", "robot0_eye_in_hand")):
+        name = f"observation.images.{camera}"
+        assert torch.equal(both[name], frames(camera, view)[name])
+    assert not torch.equal(
+        *(both[f"observation.images.{n}"] for n in ("front", "wrist"))
+    )
 
 
 class _Solved(TaskEnv):

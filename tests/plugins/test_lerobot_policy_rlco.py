@@ -213,6 +213,36 @@ def test_a_policy_that_sees_reads_lerobots_camera(tmp_path: Path) -> None:
     torch.testing.assert_close(post(theirs.select_action(pre(given))), expected[:, 0])
 
 
+def test_each_of_several_cameras_is_read_by_its_own_encoder(tmp_path: Path) -> None:
+    torch.manual_seed(0)
+    sizes = {"state_size": 3, "num_instructions": 2, "chunk": 4, "hidden": (16,)}
+    views = ["agentview", "robot0_eye_in_hand"]
+    image = {"kind": "conv", "size": (64, 64), "cameras": views}
+    policy = make_policy("gaussian", image=image, **sizes)
+    for parameter in policy.parameters():
+        torch.nn.init.normal_(parameter, 0.0, 0.3)
+    save_policy(policy, tmp_path / "ours", extra={"instructions": INSTRUCTIONS})
+    path = export_policy(tmp_path / "ours", tmp_path / "theirs", camera="front,wrist")
+    config = PreTrainedConfig.from_pretrained(path)
+    theirs = get_policy_class("rlco").from_pretrained(path, config=config)
+    front, wrist = torch.randint(256, (2, 1, 3, 64, 64), dtype=torch.uint8)
+    state = torch.randn(1, 3)
+    seen = dict(zip(views, (front, wrist), strict=True))
+    td = TensorDict({"instruction_id": torch.tensor([1])}, [1])
+    td["observation"] = {"state": state, "image": seen}
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        expected = policy(td)["action"]
+
+    def chunk(front: torch.Tensor, wrist: torch.Tensor) -> torch.Tensor:
+        given = {"observation.state": state, "task": INSTRUCTIONS[1:]}
+        frames = {"front": front, "wrist": wrist}
+        given |= {f"observation.images.{k}": v.float() / 255 for k, v in frames.items()}
+        return theirs.predict_action_chunk(given)
+
+    torch.testing.assert_close(chunk(front, wrist), expected)
+    assert not torch.allclose(chunk(wrist, front), expected)
+
+
 def test_a_robots_larger_frames_are_cut_and_shrunk_as_in_training(
     tmp_path: Path,
 ) -> None:
