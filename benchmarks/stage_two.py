@@ -25,7 +25,7 @@ from rlco.run import run_recipe
 from rlco.runs.config import option
 
 RECIPES = Path(__file__).parents[1] / "recipes"
-SEEN = (
+FROM_IMAGES = (
     "image=dense",
     "image_size=64",
     "camera=agentview,robot0_eye_in_hand",
@@ -71,11 +71,11 @@ def prepare(config: Config, folder: Path, *, images: bool) -> list[str]:
     """Record and imitate; return the options of Stage II."""
     demos, run = folder / "demos", folder / "sft"
     task = f"task={config.task}"
-    cameras = SEEN[1:3] if images else ()
+    cameras = FROM_IMAGES[1:3] if images else ()
     where = (f"out={demos}", task, "domain=stand_in", "episodes=3")
     recipe("record_demos", *where, *cameras)
     few = ("updates=50", "eval_episodes=0", "sim_ratio=0")
-    given = (f"real_demos={demos}", *few, *(SEEN if images else ()))
+    given = (f"real_demos={demos}", *few, *(FROM_IMAGES if images else ()))
     recipe("sft", f"out={run}", task, *given)
     return [task, f"policy={run / 'policy'}", f"real_demos={demos}"]
 

@@ -227,9 +227,9 @@ def test_each_of_several_cameras_is_read_by_its_own_encoder(tmp_path: Path) -> N
     theirs = get_policy_class("rlco").from_pretrained(path, config=config)
     front, wrist = torch.randint(256, (2, 1, 3, 64, 64), dtype=torch.uint8)
     state = torch.randn(1, 3)
-    seen = dict(zip(views, (front, wrist), strict=True))
+    images = dict(zip(views, (front, wrist), strict=True))
     td = TensorDict({"instruction_id": torch.tensor([1])}, [1])
-    td["observation"] = {"state": state, "image": seen}
+    td["observation"] = {"state": state, "image": images}
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
         expected = policy(td)["action"]
 

@@ -102,17 +102,17 @@ def _unexplained(state: State, residual: Residual) -> Mapping[str, object]:
 
 def _at_bounds(state: State) -> list[str]:
     """Say which effects are not named because no value that is searched suffices."""
-    told = []
+    sentences = []
     for effect, parameter in reached_bounds(state.setting.library, state.best.effects):
         value = effect.parameters[parameter.name]
         size = f"{value:.3g} {parameter.unit}".strip()
         most = "most" if value > parameter.neutral else "least"
         place = f"{effect.name} {effect.target or ''}".strip()
-        told.append(
+        sentences.append(
             f"{place} is not named: its {parameter.name} reached {size}, the {most} "
             "that is searched"
         )
-    return told
+    return sentences
 
 
 def _beside_outside(residual: Residual) -> Mapping[str, object]:
