@@ -95,8 +95,8 @@ def say_unlabelled(options: StageOneOptions) -> None:
     """Say so where an encoder for labelled scenes learns from demonstrations alone."""
     if options.image == "dense" and not options.pretrain_scenes:
         log.warning(
-            "image=dense learns from demonstrations alone, whose images are too few for "
-            "it; give pretrain_scenes=8000 image_fixed=true, or image=conv"
+            "image=dense learns from demonstrations alone, whose images are too few "
+            "for it; give pretrain_scenes=8000 image_fixed=true, or image=conv"
         )
 
 
