@@ -190,8 +190,11 @@ def test_a_hidden_friction_is_found() -> None:
     problem = problem_of(record(hidden_friction(0.18))[0])
     values = [0.09, 0.18, 0.3, 0.6]
     found = sizes(problem, [smoother(value) for value in values])
-    assert values[int(np.argmin(found))] == 0.18
-    assert found[3] > 1.05 * found[1]
+    # 0.3 does as well, to a part in a thousand; which is ahead depends on how a
+    # processor rounds.
+    assert found[1] < 1.01 * min(found)
+    assert found[0] > 1.03 * found[1]
+    assert found[3] > 1.15 * found[1]
 
 
 def test_a_hidden_damping_is_fitted_to_its_size_across_contacts() -> None:
