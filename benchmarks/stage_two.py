@@ -25,10 +25,10 @@ from rlco.run import run_recipe
 from rlco.runs.config import option
 
 RECIPES = Path(__file__).parents[1] / "recipes"
+CAMERAS = ("camera=agentview,robot0_eye_in_hand", "image_size=64")
 FROM_IMAGES = (
+    *CAMERAS,
     "image=dense",
-    "image_size=64",
-    "camera=agentview,robot0_eye_in_hand",
     "use_environment_state=false",
     "pretrain_scenes=200",
     "pretrain_passes=1",
@@ -71,9 +71,8 @@ def prepare(config: Config, folder: Path, *, images: bool) -> list[str]:
     """Record and imitate; return the options of Stage II."""
     demos, run = folder / "demos", folder / "sft"
     task = f"task={config.task}"
-    cameras = FROM_IMAGES[1:3] if images else ()
     where = (f"out={demos}", task, "domain=stand_in", "episodes=3")
-    recipe("record_demos", *where, *cameras)
+    recipe("record_demos", *where, *(CAMERAS if images else ()))
     few = ("updates=50", "eval_episodes=0", "sim_ratio=0")
     given = (f"real_demos={demos}", *few, *(FROM_IMAGES if images else ()))
     recipe("sft", f"out={run}", task, *given)

@@ -38,6 +38,29 @@ def trained(kind: str) -> Any:
     return policy
 
 
+def with_images(folder: Path, camera: str, *views: str) -> tuple[Any, Any, Path]:
+    """Return a policy that reads images, the same behind LeRobot, and its folder."""
+    torch.manual_seed(0)
+    image: Any = {"kind": "conv", "size": (64, 64)}
+    if views:
+        image["cameras"] = views
+    policy = make_policy(
+        "gaussian",
+        image=image,
+        state_size=3,
+        num_instructions=2,
+        chunk=4,
+        hidden=(16,),
+    )
+    for parameter in policy.parameters():
+        torch.nn.init.normal_(parameter, 0.0, 0.3)
+    save_policy(policy, folder / "ours", extra={"instructions": INSTRUCTIONS})
+    path = export_policy(folder / "ours", folder / "theirs", camera=camera)
+    config = PreTrainedConfig.from_pretrained(path)
+    theirs = get_policy_class("rlco").from_pretrained(path, config=config)
+    return policy, theirs, path
+
+
 @pytest.fixture
 def exported(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[Any, Path]:
     policy = trained(getattr(request, "param", "gaussian"))
@@ -184,16 +207,8 @@ def test_the_command_that_follows_runs_it_where_it_can_run(
 
 
 def test_a_policy_that_sees_reads_lerobots_camera(tmp_path: Path) -> None:
-    torch.manual_seed(0)
-    sizes = {"state_size": 3, "num_instructions": 2, "chunk": 4, "hidden": (16,)}
-    policy = make_policy("gaussian", image={"kind": "conv", "size": (64, 64)}, **sizes)
-    for parameter in policy.parameters():
-        torch.nn.init.normal_(parameter, 0.0, 0.3)
-    save_policy(policy, tmp_path / "ours", extra={"instructions": INSTRUCTIONS})
-    path = export_policy(tmp_path / "ours", tmp_path / "theirs", camera="wrist")
-    config = PreTrainedConfig.from_pretrained(path)
-    theirs = get_policy_class("rlco").from_pretrained(path, config=config)
-    pre, post = make_pre_post_processors(config, pretrained_path=str(path))
+    policy, theirs, path = with_images(tmp_path, "wrist")
+    pre, post = make_pre_post_processors(theirs.config, pretrained_path=str(path))
     pixels = torch.randint(256, (2, 3, 64, 64), dtype=torch.uint8)
     state = torch.randn(2, 3)
     td = TensorDict(
@@ -214,17 +229,8 @@ def test_a_policy_that_sees_reads_lerobots_camera(tmp_path: Path) -> None:
 
 
 def test_each_of_several_cameras_is_read_by_its_own_encoder(tmp_path: Path) -> None:
-    torch.manual_seed(0)
-    sizes = {"state_size": 3, "num_instructions": 2, "chunk": 4, "hidden": (16,)}
-    views = ["agentview", "robot0_eye_in_hand"]
-    image = {"kind": "conv", "size": (64, 64), "cameras": views}
-    policy = make_policy("gaussian", image=image, **sizes)
-    for parameter in policy.parameters():
-        torch.nn.init.normal_(parameter, 0.0, 0.3)
-    save_policy(policy, tmp_path / "ours", extra={"instructions": INSTRUCTIONS})
-    path = export_policy(tmp_path / "ours", tmp_path / "theirs", camera="front,wrist")
-    config = PreTrainedConfig.from_pretrained(path)
-    theirs = get_policy_class("rlco").from_pretrained(path, config=config)
+    views = ("agentview", "robot0_eye_in_hand")
+    policy, theirs, _ = with_images(tmp_path, "front,wrist", *views)
     front, wrist = torch.randint(256, (2, 1, 3, 64, 64), dtype=torch.uint8)
     state = torch.randn(1, 3)
     images = dict(zip(views, (front, wrist), strict=True))
@@ -246,13 +252,7 @@ def test_each_of_several_cameras_is_read_by_its_own_encoder(tmp_path: Path) -> N
 def test_a_robots_larger_frames_are_cut_and_shrunk_as_in_training(
     tmp_path: Path,
 ) -> None:
-    torch.manual_seed(0)
-    sizes = {"state_size": 3, "num_instructions": 2, "chunk": 4, "hidden": (16,)}
-    policy = make_policy("gaussian", image={"kind": "conv", "size": (64, 64)}, **sizes)
-    save_policy(policy, tmp_path / "ours", extra={"instructions": INSTRUCTIONS})
-    path = export_policy(tmp_path / "ours", tmp_path / "theirs")
-    config = PreTrainedConfig.from_pretrained(path)
-    theirs = get_policy_class("rlco").from_pretrained(path, config=config)
+    _, theirs, _ = with_images(tmp_path, "front")
     # A square in the middle of a wide frame, in blocks of 4 x 4 pixels of one colour.
     small = torch.randint(256, (1, 3, 64, 64), dtype=torch.uint8)
     square = small.repeat_interleave(4, -2).repeat_interleave(4, -1)

@@ -187,13 +187,14 @@ def test_a_hidden_mass_is_found_and_free_motion_is_clean() -> None:
 
 
 def test_a_hidden_friction_is_found() -> None:
-    problem = problem_of(record(hidden_friction(0.18))[0])
-    values = [0.09, 0.18, 0.3, 0.6]
-    found = sizes(problem, [smoother(value) for value in values])
-    # 0.3 does as well, to a part in a thousand; which is ahead depends on how a
-    # processor rounds.
-    assert found[1] < 1.01 * min(found)
-    assert found[0] > 1.03 * found[1]
+    values, squares = [0.09, 0.18, 0.3, 0.6], np.zeros(4)
+    # Four episodes leave 0.18 and 0.3 level: a contact that goes another way decides,
+    # and so does how a processor rounds.
+    for seed in range(4):
+        problem = problem_of(record(hidden_friction(0.18), seed=seed)[0])
+        squares += np.square(sizes(problem, [smoother(value) for value in values]))
+    assert values[int(np.argmin(squares))] == 0.18
+    found = np.sqrt(squares)
     assert found[3] > 1.15 * found[1]
 
 
