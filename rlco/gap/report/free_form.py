@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from html import escape
 
+import mujoco
 from matplotlib.figure import Figure
 
 from rlco.gap.compare.verdict import FreeForm
@@ -26,16 +27,19 @@ _OF_ENCODERS = (
 )
 
 
-def free_form_section(free: FreeForm | None, unit: str) -> str:
+def free_form_section(free: FreeForm | None, model: mujoco.MjModel | None) -> str:
     """Return what acts outside the library as HTML; empty where nothing does.
 
     Args:
         free: The torque.
-        unit: Of the joint's position.
+        model: For the units of its joint; None for those of a hinge.
     """
     if free is None:
         return ""
-    figure = free_form_figure(free, unit)
+    # A log of torques has residuals in N m, and positions in rad.
+    slide = mujoco.mjtJoint.mjJNT_SLIDE
+    slides = model is not None and model.joint(free.target).type[0] == slide
+    figure = free_form_figure(free, "m" if slides else "rad")
     alt = f"{figure.get_suptitle()}. {figure.get_label()}"
     return (
         "<h2>What acts besides, or instead</h2>\n"

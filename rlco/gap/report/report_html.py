@@ -97,7 +97,7 @@ def page(source: Page) -> str:
         _traces(source),
         _where(source),
         _unexplained(source),
-        free_form_section(source.verdict.free_form, source.verdict.gap.unit),
+        free_form_section(source.verdict.free_form, source.model),
         calibration_section(
             source.calibration,
             source.beyond,

@@ -7,9 +7,11 @@ import math
 import re
 from dataclasses import replace
 
+import mujoco
 import numpy as np
 import pytest
 from html_page import Read
+from matplotlib.figure import Figure
 from small_problems import Arm, Interruptible, arm_problem
 from small_verdicts import DAMPING, FRICTION, named, nothing_named
 
@@ -399,5 +401,27 @@ def test_what_acts_outside_the_library_is_said_and_drawn(problem: Arm) -> None:
     figure = free_form_figure(free_form(), "rad")
     lines = [axes.lines[1].get_xydata() for axes in figure.axes]
     assert [line[-1].tolist() for line in lines] == [[1, -1], [2, -1], [9, -1]]
-    assert "Outside the library, at elbow" in free_form_section(free_form(), "rad")
-    assert free_form_section(None, "rad") == ""
+    assert "Outside the library, at elbow" in free_form_section(free_form(), None)
+    assert free_form_section(None, None) == ""
+
+
+@pytest.mark.parametrize(("kind", "unit"), [("hinge", "rad"), ("slide", "m")])
+def test_a_free_form_is_drawn_in_its_joints_units_whatever_the_residuals_are_in(
+    problem: Arm, monkeypatch: pytest.MonkeyPatch, kind: str, unit: str
+) -> None:
+    drawn: list[str] = []
+
+    def spy(free: FreeForm, unit: str) -> Figure:
+        drawn.append(unit)
+        return free_form_figure(free, unit)
+
+    monkeypatch.setattr("rlco.gap.report.free_form.free_form_figure", spy)
+    model = mujoco.MjModel.from_xml_string(
+        f"""<mujoco><worldbody><body><joint name="elbow" type="{kind}"/>
+        <geom size=".1"/></body><body><joint name="shoulder"/><geom size=".1"/></body>
+        </worldbody></mujoco>"""
+    )
+    verdict = replace(named(problem), free_form=free_form())
+    verdict = replace(verdict, gap=replace(verdict.gap, unit="N m"))
+    html(problem, verdict, model=model)
+    assert drawn == [unit]
