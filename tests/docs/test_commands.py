@@ -93,7 +93,7 @@ ELSEWHERE = {
     "uv run python docs/hobby_arm.py": "tests/docs/test_so101_page.py",
     "uv run tensorboard --logdir outputs": "a server",
     "uv run scripts/": "a network, or figures",
-    "uv run torchrun ": "tests/recipes/test_*_launch.py, without torchrun itself",
+    "uv run torchrun ": "tests/recipes/test_rl_co_launch.py",
     "uv run ray ": "several machines",
     "uv run benchmarks/": "hours; tests/benchmarks",
     "pip ": "a network",

@@ -6,6 +6,8 @@ import contextlib
 import io
 import os
 import signal
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +24,7 @@ from rlco.runs.compare.ray_processes import RayProcesses
 from rlco.runs.metrics import read_metrics
 
 pytestmark = pytest.mark.slow
+ROOT = Path(__file__).parents[2]
 
 
 def stage_one(assets: Assets) -> list[str]:
@@ -101,6 +104,28 @@ def test_ranks_resume_to_what_they_would_have_come_to(
     for name in ("metrics.csv", "policy/policy.safetensors"):
         cut, whole = (folder / run / name for run in ("cut", "whole"))
         assert cut.read_bytes() == whole.read_bytes(), name
+
+
+def test_torchrun_itself_starts_the_same_run(
+    learned: tuple[Found, Path], assets: Assets, tmp_path: Path
+) -> None:
+    _, folder = learned
+    out = tmp_path / "run"
+    given = [*stage_one(assets), *RL_CO, "reuse=1", "target_kl=0.5", "launch=torchrun"]
+    ended = subprocess.run(
+        [
+            *(sys.executable, "-m", "torch.distributed.run"),
+            *("--standalone", "--nproc-per-node=2", "recipes/rl_co.py"),
+            *(*given, f"out={out}"),
+        ],
+        env=os.environ | {"GLOO_SOCKET_IFNAME": "lo"},
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+    )
+    assert ended.returncode == 0, ended.stderr[-2000:]
+    for name in ("metrics.csv", "policy/policy.safetensors"):
+        assert (out / name).read_bytes() == (folder / "whole" / name).read_bytes()
 
 
 # -- Workers of Ray --------------------------------------------------------------------
