@@ -27,6 +27,7 @@ from rlco.physics.rendering.camera import Camera
 from rlco.physics.rendering.raster import RasterCamera
 
 SIZES = (64, 128)
+CAMERAS = ("agentview", "robot0_eye_in_hand")
 EPISODES = 128
 WORLDS = 32
 
@@ -46,11 +47,13 @@ def states(threads: int) -> Any:
     return env.stepper
 
 
-def alone(size: int, rounds: int) -> str:
+def alone(name: str, size: int, rounds: int) -> str:
     """Return a line of the table of frames."""
     one, two = states(1), states(2)
-    camera = Camera(one.model, (size, size))
-    raster = [RasterCamera(s.model, (size, size), num_envs=WORLDS) for s in (one, two)]
+    camera = Camera(one.model, (size, size), name)
+    raster = [
+        RasterCamera(s.model, (size, size), name, num_envs=WORLDS) for s in (one, two)
+    ]
     sources = [
         r.sources(s.model_addresses, s.data)
         for r, s in zip(raster, (one, two), strict=True)
@@ -75,7 +78,7 @@ def alone(size: int, rounds: int) -> str:
     ratio = np.percentile(spent[:, 2, 0] / spent[:, 0, 0], [25, 50, 75])
     speed = np.median(spent[:, 0, 1] / spent[:, 1, 1])
     return (
-        f"| {size} x {size} | {gl:.2f} | {single:.3f} | {ratio[1]:.1f} "
+        f"| {name}, {size} x {size} | {gl:.2f} | {single:.3f} | {ratio[1]:.1f} "
         f"[{ratio[0]:.1f}, {ratio[2]:.1f}] | {speed:.2f} | {double / single:.2f} |"
     )
 
@@ -87,6 +90,11 @@ def rollouts(rounds: int) -> None:
     kinds: dict[str, dict[str, Any]] = {
         "none": {},
         "raster, 64 x 64": {"image_size": (64, 64), "renderer": "raster"},
+        "raster, 64 x 64, and the wrist camera": {
+            "image_size": (64, 64),
+            "renderer": "raster",
+            "cameras": CAMERAS,
+        },
         "raster, 128 x 128": {"image_size": (128, 128), "renderer": "raster"},
         "opengl, 64 x 64": {"image_size": (64, 64), "renderer": "opengl"},
     }
@@ -113,8 +121,9 @@ def main(rounds: int) -> None:
         "| two threads, speed | two threads, processor time |"
     )
     print("|---|---|---|---|---|---|", flush=True)
-    for size in SIZES:
-        print(alone(size, rounds), flush=True)
+    for name in CAMERAS:
+        for size in SIZES:
+            print(alone(name, size, rounds), flush=True)
     rollouts(max(2, rounds // 8))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from rlco.physics.mj.compiling import inner
+from rlco.physics.mj.compiling import borrowed, inner
 from rlco.physics.rendering.raster_places import CUT, LEVEL, look, place
 from rlco.physics.rendering.raster_scene import (
     ID,
@@ -70,6 +70,8 @@ class Scratch(NamedTuple):
     distance: NDArray[np.float32]  # from the camera (G,) [m]
     corners: NDArray[np.int32]  # of one geom, on the screen (2, V)
     inverse: NDArray[np.float32]  # their inverse depth (V,)
+    seen: NDArray[np.float32]  # their places in the camera's frame (3, V) [m]
+    outside: NDArray[np.uint8]  # the planes that they are beyond (V,)
     depth: NDArray[np.float32]  # inverse depth of the frame, of one transparent geom
     shown: NDArray[np.int32]  # triangle and geom, of the same two (2, 2, h, w)
     lens: NDArray[np.float32]  # focal lengths, centre [pixels], world from camera (13,)
@@ -89,6 +91,8 @@ def _scratch(
         np.empty(geoms, np.float32),
         np.empty((2, numbers[VERTICES]), np.int32),
         np.empty(numbers[VERTICES], np.float32),
+        np.empty((3, numbers[VERTICES]), np.float32),
+        np.empty(numbers[VERTICES], np.uint8),
         np.empty((2, height, width), np.float32),
         np.empty((2, 2, height, width), np.int32),
         np.empty(13, np.float32),
@@ -118,6 +122,8 @@ def _draw(scene: Any, g: int, layer: int, s: Any) -> None:
             scene.near,
             s.corners,
             s.inverse,
+            s.seen,
+            s.outside,
             depth,
             shown,
             box,
@@ -249,11 +255,43 @@ def draw_range(
         geoms: The geoms that pixels show, -1: none, (N, height, width), or (0, 0, 0).
         depths: Their depths, 0: none, of the same shape [m].
     """
+    lights = (sizes[0] - LIGHTS) // LIGHT_SIZE
+    size = images.shape[2], images.shape[3]
+    s = _scratch(scene.numbers, len(scene.geoms), sizes[2], lights, *size)
+    _draw_worlds(
+        first,
+        last,
+        which,
+        borrowed(scene),
+        sizes,
+        sources,
+        borrowed(backgrounds),
+        borrowed(images),
+        borrowed(geoms),
+        borrowed(depths),
+        s,
+    )
+
+
+@inner
+def _draw_worlds(
+    first: int,
+    last: int,
+    which: Any,
+    scene: Any,
+    sizes: Any,
+    sources: Any,
+    backgrounds: Any,
+    images: Any,
+    geoms: Any,
+    depths: Any,
+    owned: Any,
+) -> None:
+    """Draw worlds, see `draw_range`, in a working space that the caller owns."""
+    s = borrowed(owned)
     height, width = images.shape[2], images.shape[3]
     geoms_at, still_end = sizes[0], sizes[1]
     count, still = len(scene.geoms), scene.numbers[STILL]
-    lights = (geoms_at - LIGHTS) // LIGHT_SIZE
-    s = _scratch(scene.numbers, count, sizes[2], lights, height, width)
     whole = np.array([0, height - 1, 0, width - 1])
     kept = backgrounds.drawn.shape[0] > 0
     for number in range(first, last):

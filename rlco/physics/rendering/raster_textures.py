@@ -139,7 +139,7 @@ def sample(
     blend = min(max(covered - _ONE, np.float32(0.0)), _ONE) if level < last else _ZERO
     if not abs(u) + abs(v) < np.float32(1e6):  # of a triangle without an area
         u, v = _HALF, _HALF
-    out[to, 0], out[to, 1], out[to, 2] = _ZERO, _ZERO, _ZERO
+    red, green, blue = _ZERO, _ZERO, _ZERO
     for finer in range(2):
         part = blend if finer else _ONE - blend
         if part <= _ZERO:
@@ -150,20 +150,26 @@ def sample(
         left: Any = np.int64(np.floor(x))
         top: Any = np.int64(np.floor(y))
         across, down = x - np.float32(left), y - np.float32(top)
+        right, below = left + 1, top + 1
+        if wraps:  # a division takes longer than a comparison
+            left, top = left % width, top % height
+            right = left + 1 if left + 1 < width else 0
+            below = top + 1 if top + 1 < height else 0
+        else:
+            left, right = min(max(left, 0), width - 1), min(max(right, 0), width - 1)
+            top, below = min(max(top, 0), height - 1), min(max(below, 0), height - 1)
         for row in range(2):
+            line = start + 3 * width * (face * height + (below if row else top))
             for column in range(2):
                 share = part * (down if row else _ONE - down)
                 share *= across if column else _ONE - across
-                i, j = top + row, left + column
-                if wraps:
-                    i, j = i % height, j % width
-                else:
-                    i, j = min(max(i, 0), height - 1), min(max(j, 0), width - 1)
-                at = start + 3 * ((face * height + i) * width + j)
-                for c in range(3):
-                    out[to, c] += share * np.float32(texels[at + c])
-    for c in range(3):
-        out[to, c] /= np.float32(255.0)
+                at = line + 3 * (right if column else left)
+                red += share * np.float32(texels[at])
+                green += share * np.float32(texels[at + 1])
+                blue += share * np.float32(texels[at + 2])
+    out[to, 0] = red / np.float32(255.0)
+    out[to, 1] = green / np.float32(255.0)
+    out[to, 2] = blue / np.float32(255.0)
 
 
 @inner

@@ -184,15 +184,19 @@ def draw_cut(
     near: Any,
     corners: Any,
     inverse: Any,
+    seen: Any,
+    outside: Any,
     depth: Any,
     shown: Any,
     box: Any,
 ) -> None:
     """Draw triangles of which some are behind the camera, or far outside the frame.
 
-    Each is cut at the nearest depth and at the sides of a frame a little larger than
-    the true one (Sutherland and Hodgman 1974). Arguments as in `project` and
-    `draw_triangles`.
+    These are cut at the nearest depth and at the sides of a frame a little larger than
+    the true one (Sutherland and Hodgman 1974). Most are wholly inside or wholly beyond
+    one of these planes, which their corners' sides tell. Arguments as in `project` and
+    `draw_triangles`. Written are also `seen`, the vertices in the camera's frame, (3, V
+    or more) [m], and `outside`, a bit for each plane that one is beyond, (V or more,).
     """
     planes = np.zeros((5, 4), np.float32)  # inside: a x + b y + c z + d >= 0
     planes[0, 2], planes[0, 3] = _ONE, -near
@@ -201,43 +205,105 @@ def draw_cut(
         planes[1 + axis, axis], planes[3 + axis, axis] = lens[axis], -lens[axis]
         planes[1 + axis, 2] = lens[2 + axis] + _MARGIN
         planes[3 + axis, 2] = size - lens[2 + axis] + _MARGIN
-    polygon = np.zeros((2, 12, 3), np.float32)
-    for k in range(first, last):
-        for corner in range(3):
-            i = faces[k, corner]
+    for i in range(points.shape[1]):
+        for axis in range(3):
+            seen[axis, i] = (
+                matrix[4 * axis] * points[0, i]
+                + matrix[4 * axis + 1] * points[1, i]
+                + matrix[4 * axis + 2] * points[2, i]
+                + matrix[4 * axis + 3]
+            )
+        beyond = 0
+        for plane in range(5):
+            side = planes[plane, 3]
             for axis in range(3):
-                polygon[0, corner, axis] = (
-                    matrix[4 * axis] * points[0, i]
-                    + matrix[4 * axis + 1] * points[1, i]
-                    + matrix[4 * axis + 2] * points[2, i]
-                    + matrix[4 * axis + 3]
-                )
+                side += planes[plane, axis] * seen[axis, i]
+            if not side >= _ZERO:
+                beyond |= 1 << plane
+        outside[i] = beyond
+        if beyond == 0:
+            _project_one(seen[0, i], seen[1, i], seen[2, i], lens, i, corners, inverse)
+    polygon = np.zeros((2, 12, 3), np.float32)
+    cut_corners, cut_inverse = np.zeros((2, 12), np.int32), np.zeros(12, np.float32)
+    for k in range(first, last):
+        i, j, n = faces[k, 0], faces[k, 1], faces[k, 2]
+        if outside[i] & outside[j] & outside[n]:
+            continue
+        if (outside[i] | outside[j] | outside[n]) == 0:
+            _fill_within(
+                i, j, n, corners, inverse, two_sided, k, geom, depth, shown, box
+            )
+            continue
+        for corner in range(3):
+            for axis in range(3):
+                polygon[0, corner, axis] = seen[axis, faces[k, corner]]
         count = _cut(polygon, planes)
         for corner in range(count):
-            over = _ONE / polygon[0, corner, 2]
-            inverse[corner] = over
-            for axis in range(2):
-                at = lens[2 + axis] + lens[axis] * polygon[0, corner, axis] * over
-                corners[axis, corner] = np.int32(np.floor(at * _STEPS + _HALF))
+            x, y, z = (
+                polygon[0, corner, 0],
+                polygon[0, corner, 1],
+                polygon[0, corner, 2],
+            )
+            _project_one(x, y, z, lens, corner, cut_corners, cut_inverse)
         for corner in range(1, count - 1):
-            j, n = corner, corner + 1
-            low_x = min(corners[0, 0], corners[0, j], corners[0, n])
-            high_x = max(corners[0, 0], corners[0, j], corners[0, n])
-            low_y = min(corners[1, 0], corners[1, j], corners[1, n])
-            high_y = max(corners[1, 0], corners[1, j], corners[1, n])
-            x0 = max((low_x + 127) >> 8, box[2])
-            x1 = min((high_x - 128) >> 8, box[3])
-            y0 = max((low_y + 127) >> 8, box[0])
-            y1 = min((high_y - 128) >> 8, box[1])
-            if x0 > x1 or y0 > y1:
-                continue
-            area = (corners[0, j] - corners[0, 0]) * (corners[1, n] - corners[1, 0]) - (
-                corners[1, j] - corners[1, 0]
-            ) * (corners[0, n] - corners[0, 0])
-            if area > 0 and two_sided:
-                j, n, area = n, j, -area
-            if area < 0:
-                _fill(0, n, j, corners, inverse, x0, x1, y0, y1, k, geom, depth, shown)
+            _fill_within(
+                0,
+                corner,
+                corner + 1,
+                cut_corners,
+                cut_inverse,
+                two_sided,
+                k,
+                geom,
+                depth,
+                shown,
+                box,
+            )
+
+
+@inner
+def _project_one(
+    x: Any, y: Any, z: Any, lens: Any, i: int, corners: Any, inverse: Any
+) -> None:
+    """Write where one point in the camera's frame is, see `project`."""
+    over = _ONE / z
+    inverse[i] = over
+    corners[0, i] = np.int32(np.floor((lens[2] + lens[0] * x * over) * _STEPS + _HALF))
+    corners[1, i] = np.int32(np.floor((lens[3] + lens[1] * y * over) * _STEPS + _HALF))
+
+
+@inner
+def _fill_within(
+    i: int,
+    j: int,
+    n: int,
+    corners: Any,
+    inverse: Any,
+    two_sided: bool,
+    triangle: int,
+    geom: int,
+    depth: Any,
+    shown: Any,
+    box: Any,
+) -> None:
+    """Draw one triangle, its corners in any order, within a box of pixels."""
+    low_x = min(corners[0, i], corners[0, j], corners[0, n])
+    high_x = max(corners[0, i], corners[0, j], corners[0, n])
+    low_y = min(corners[1, i], corners[1, j], corners[1, n])
+    high_y = max(corners[1, i], corners[1, j], corners[1, n])
+    x0 = max((low_x + 127) >> 8, box[2])
+    x1 = min((high_x - 128) >> 8, box[3])
+    y0 = max((low_y + 127) >> 8, box[0])
+    y1 = min((high_y - 128) >> 8, box[1])
+    if x0 > x1 or y0 > y1:
+        return
+    area = (corners[0, j] - corners[0, i]) * (corners[1, n] - corners[1, i]) - (
+        corners[1, j] - corners[1, i]
+    ) * (corners[0, n] - corners[0, i])
+    if area > 0 and two_sided:
+        j, n, area = n, j, -area
+    if area < 0:
+        _fill(i, n, j, corners, inverse, x0, x1, y0, y1, triangle, geom, depth, shown)
 
 
 @inner
