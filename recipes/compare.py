@@ -23,15 +23,17 @@ from rlco.errors import ConfigError, RlcoError
 from rlco.reporting.comparison import (
     comparison_table,
     cost_table,
-    curves_of,
-    mean_table,
     overview_table,
     prediction_runs,
     prediction_table,
 )
-from rlco.reporting.experiment_results import result_rows, table_entries
+from rlco.reporting.drift import drift_table, drifts_of
+from rlco.reporting.entries import curves_of
+from rlco.reporting.experiment_results import made_by, result_rows, table_entries
+from rlco.reporting.group_means import mean_table
 from rlco.reporting.plots import learning_curves, save_figure
 from rlco.reporting.prediction_figure import prediction_figure
+from rlco.reporting.success_over import success_over
 from rlco.run import run_recipe
 from rlco.runs import run_folder
 from rlco.runs.compare.cells import Store
@@ -41,6 +43,7 @@ from rlco.runs.compare.plan import Plan, expected_minutes, make_plan
 from rlco.runs.compare.processes import LocalProcesses, Processes
 from rlco.runs.compare.queue import Queue
 from rlco.runs.compare.read_experiment import read_experiment
+from rlco.runs.compare.smallest import smallest
 from rlco.runs.config import REQUIRED, option
 from rlco.runs.ray_cluster import check_ray
 from rlco.runs.whole_files import write_json, write_text
@@ -73,6 +76,9 @@ class Config:
         None, "start no further job after so long [h]; 0: tables alone", minimum=0
     )
     nice: int = option(10, "niceness of the jobs", minimum=0, maximum=19)
+    smallest: bool = option(
+        False, "one value of each variable and short jobs: whether all of it runs"
+    )
     dry: bool = option(False, "say what would run and how long it would take")
 
 
@@ -80,7 +86,11 @@ def main(config: Config) -> None:
     """Plan, run what is missing, and write the tables."""
     path = Path(config.experiment)
     experiment = read_experiment(path)
-    out = Path(config.out or Path("outputs", "compare", experiment.name))
+    if config.smallest:
+        check_smallest(config)
+        experiment = smallest(experiment)
+    name = experiment.name + ("-smallest" if config.smallest else "")
+    out = Path(config.out or Path("outputs", "compare", name))
     jobs = expand(experiment)
     store = Store(out, config.cells and Path(config.cells), config.code)
     plan = make_plan(jobs, store)
@@ -104,6 +114,21 @@ def main(config: Config) -> None:
         raise RlcoError(
             f"{len(failed)} of {len(plan.every)} jobs failed; all others are in the "
             "table, and the same command tries these again."
+        )
+
+
+def check_smallest(config: Config) -> None:
+    """Check that results which mean nothing are not kept beside others.
+
+    Raises:
+        ConfigError: They would be.
+    """
+    if config.cells is not None:
+        raise ConfigError(
+            [
+                f"cells={config.cells} with smallest=true would keep results that mean "
+                "nothing; leave one of them out"
+            ]
         )
 
 
@@ -159,21 +184,32 @@ def save(experiment: Experiment, jobs: Sequence[Job], store: Store, out: Path) -
     table = experiment.table
     entries = table_entries(experiment, jobs, store)
     several = len({entry.group for entry in entries}) > 1
-    overview = overview_table(entries, table.differences) + "\n" if several else ""
-    text = (
-        overview
-        + comparison_table(entries, table.differences)
-        + (mean_table(entries, table.differences) if table.mean else "")
-        + prediction_table(entries, table.predictions)
-        + cost_table(entries)
-    )
+    # Means that others reported name no variable that ours are over.
+    of_means = [
+        p for p in table.published if table.mean and not {*table.mean} & {*p.at}
+    ]
+    beside = [one for one in table.published if one not in of_means]
+    text = ""
+    if several or beside:
+        text += overview_table(entries, table.differences, beside) + "\n"
+    text += comparison_table(entries, table.differences)
+    if table.mean:
+        text += mean_table(entries, table.differences, table.mean, of_means)
+    text += prediction_table(entries, table.predictions)
+    text += drift_table(entries, table.differences)
+    text += cost_table(entries) + made_by(jobs, store)
     write_json(out / "results.json", {"rows": result_rows(jobs, store)})
     write_text(out / "table.md", text)
     for group in dict.fromkeys(entry.group for entry in entries):
         mine = [entry for entry in entries if entry.group == group]
         if curves := curves_of(mine, table.curve_episodes):
             name = re.sub(r"[^\w.+-]+", "-", f"curves {group}".strip())
-            save_figure(learning_curves(curves), out / "plots" / f"{name}.png")
+            figure = learning_curves(curves, drifts_of(mine))
+            save_figure(figure, out / "plots" / f"{name}.png")
+    if table.axis is not None:
+        for name, figure in success_over(entries, table.axis).items():
+            name = re.sub(r"[^\w.+-]+", "-", f"{table.axis} {name}".strip())
+            save_figure(figure, out / "plots" / f"{name}.png")
     for number, prediction in enumerate(table.predictions, 1):
         figure = prediction_figure(
             prediction_runs(entries, prediction),

@@ -32,8 +32,9 @@ BENCHMARKS = ROOT / "benchmarks"
 #: Where the cells of an experiment are, if not in a folder of its name.
 ON_PUSH_CUBE = ("alignment", "two_by_two", "length", "methods", "adapted")
 CELLS = dict.fromkeys(ON_PUSH_CUBE, "push_cube")
-CELLS |= dict.fromkeys(("encoders", "sight_rl", "paper_images"), "sight")
-CELLS |= dict.fromkeys(("generalisation", "data", "alpha"), "paper")
+ON_IMAGES = ("encoders", "paper_images", "generalisation_images")
+CELLS |= dict.fromkeys(ON_IMAGES, "sight")
+CELLS |= dict.fromkeys(("generalisation", "take_off", "data", "alpha"), "paper")
 MARKED = re.compile(
     r"(<!-- results (\w+)(?:: ([^>]+))? -->\n).*?(<!-- end -->)", re.DOTALL
 )
@@ -90,18 +91,19 @@ def write_page(name: str, experiment: Path, cells: Path) -> str:
             kept = f"{name}-{figure.stem.replace(' ', '-')}.png"
             shutil.copy(figure, DOCS / "figures" / kept)
             figures.append(f"![{figure.stem}](../figures/{kept})\n")
-    rerun = (
-        f"uv run recipes/compare.py experiment={experiment.relative_to(ROOT)} "
-        f"cells={cells.relative_to(ROOT)} hours=0 code=any"
-    )
+    run = f"uv run recipes/compare.py experiment={experiment.relative_to(ROOT)}"
+    again = f"{run} cells={cells.relative_to(ROOT)} hours=0 code=any"
     page = DOCS / "tables" / f"{name}.md"
     page.parent.mkdir(exist_ok=True)
-    text = f"# {name}\n\n```\n$ {rerun}\n```\n\n{tables}"
+    text = (
+        f"# {name}\n\nEvery job anew, and this page from its committed cells:\n\n"
+        f"```\n$ {run}\n$ {again}\n```\n\n{tables}"
+    )
     page.write_text(text + "\n".join(figures), "utf-8")
     print(f"docs/tables/{name}.md: written")
     overview, *sections = tables.split("\n## ")
     overview = re.sub(r"\A## .*\n+", "", overview)  # of the only group
-    heads = ("Mean\n", "Predictions\n")
+    heads = ("Mean\n", "Predictions\n", "Drift\n")
     over_all = [one.partition("\n")[2] for one in sections if one.startswith(heads)]
     return "\n\n".join(part.strip() for part in (overview, *over_all))
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from typing import Any
 
 from rlco.errors import DataError
-from rlco.reporting.comparison import Entry, State
+from rlco.reporting.entries import Entry, State, group_name
 from rlco.runs.compare.cells import Cell, Store
-from rlco.runs.compare.experiment import Experiment, Line
+from rlco.runs.compare.experiment import Experiment, Line, Table
 from rlco.runs.compare.jobs import Job
 from rlco.runs.compare.queue import failed_before
 from rlco.runs.compare.templates import filled
@@ -41,20 +42,23 @@ def table_entries(
     for group, values in _groups(experiment):
         for line in table.lines:
             for job in jobs:
-                if job.kind.name != line.job or not _agree(job, values):
+                # What a line is always of counts for more than what its table is of.
+                if job.kind.name != line.job or not _agree(job, {**values, **line.at}):
                     continue
                 cell = store.find(job)
                 state: State = "failed" if job in failed else "missing"
                 rows: tuple[dict[str, Any], ...] = ()
                 if cell is not None:
                     state = "done" if cell.key == job.key else "older"
-                    rows = _rows(cell, line)
+                    rows = _shown(_rows(cell, line), table)
                 label = filled(line.label, job.values)
                 seed = job.values.get(table.seed)
                 curve = cell.curves.get(line.curve, ()) if cell and line.curve else ()
                 minutes = cell.cpu_seconds / 60 if cell else None
                 found.append(
-                    Entry(label, group, seed, state, rows, tuple(curve), minutes)
+                    Entry(
+                        label, group, seed, state, rows, tuple(curve), minutes, values
+                    )
                 )
     return found
 
@@ -64,7 +68,7 @@ def _groups(experiment: Experiment) -> Iterator[tuple[str, dict[str, Any]]]:
     by = experiment.table.by
     for combination in itertools.product(*(experiment.over[name] for name in by)):
         values = dict(zip(by, combination, strict=True))
-        yield ", ".join(f"{name} {value}" for name, value in values.items()), values
+        yield group_name(values), values
 
 
 def _rows(cell: Cell, line: Line) -> tuple[dict[str, Any], ...]:
@@ -77,6 +81,43 @@ def _rows(cell: Cell, line: Line) -> tuple[dict[str, Any], ...]:
             f"asks for; it has {methods}."
         )
     return rows
+
+
+def _shown(
+    rows: tuple[dict[str, Any], ...], table: Table
+) -> tuple[dict[str, Any], ...]:
+    """Return the rows of a table's domains.
+
+    Where its groups are of variations, a row of one stands beside rows of none.
+    """
+    known = "variation" in table.by
+    return tuple(
+        {**row, "variation": None} if known else row
+        for row in rows
+        if not table.domains or row["domain"] in table.domains
+    )
+
+
+def made_by(jobs: Sequence[Job], store: Store) -> str:
+    """Return how long all jobs took, and which code and processors they ran on.
+
+    In Markdown; "" where none has finished.
+    """
+    cells = [cell for job in jobs if (cell := store.find(job)) is not None]
+    if not cells:
+        return ""
+    hours = sum(cell.cpu_seconds for cell in cells) / 3600
+    commits, processors = (
+        ", ".join(f"{name} ({count})" for name, count in Counter(found).most_common())
+        for found in (
+            [f"`{cell.commit[:7]}`" if cell.commit else "no commit" for cell in cells],
+            [cell.processor or "not known" for cell in cells],
+        )
+    )
+    return (
+        f"\n{len(cells)} of {len(jobs)} jobs, recordings among them: {hours:.1f} hours "
+        f"of a processor. Commits (jobs): {commits}. Processors: {processors}.\n"
+    )
 
 
 def _agree(job: Job, values: dict[str, Any]) -> bool:

@@ -136,8 +136,8 @@ def log_axis(axes: Axes, label: str) -> None:
     axes.set_ylabel(label)
 
 
-def legend(figure: Figure, axes: Iterable[Axes]) -> None:
-    """Put each label beside the title, once."""
+def legend(figure: Figure, axes: Iterable[Axes], *, below: bool = False) -> None:
+    """Put each label beside the title, once; or below it, where both are long."""
     named = {
         label: handle
         for each in axes
@@ -146,7 +146,7 @@ def legend(figure: Figure, axes: Iterable[Axes]) -> None:
     figure.legend(
         named.values(),
         named.keys(),
-        loc="outside upper right",
+        loc="outside upper left" if below else "outside upper right",
         ncols=min(5, len(named)),
         frameon=False,
         fontsize=10,

@@ -58,6 +58,24 @@ class Curve:
     episodes: int
 
 
+@dataclass(frozen=True)
+class Drift:
+    """A method's drift from held-out demonstrations while it learns.
+
+    Attributes:
+        method: Its name.
+        frames: Environment steps so far, summed over environments. Shape (K,).
+        drift: Of every seed, RMS of how far normalised actions have moved. Shape
+            (seeds, K).
+        seeds: Which those are.
+    """
+
+    method: str
+    frames: Sequence[float]
+    drift: Sequence[Sequence[float]]
+    seeds: Sequence[object]
+
+
 def success_bars(rows: Sequence[ResultRow]) -> Figure:
     """Draw the success rate of each method in each domain.
 
@@ -97,8 +115,10 @@ def success_bars(rows: Sequence[ResultRow]) -> Figure:
     return figure
 
 
-def learning_curves(curves: Sequence[Curve]) -> Figure:
+def learning_curves(curves: Sequence[Curve], drifts: Sequence[Drift] = ()) -> Figure:
     """Draw success against environment steps, a panel a domain, a line a method.
+
+    One more panel has the drift from held-out demonstrations, where there is any.
 
     Several seeds: the mean, Student's t interval of it as a band, and the worst
     seed (the one that ends lowest) dotted. One seed: Wilson's interval as the band.
@@ -108,8 +128,9 @@ def learning_curves(curves: Sequence[Curve]) -> Figure:
     """
     domains = list(dict.fromkeys(curve.domain for curve in curves))
     looks = styles(curve.method for curve in curves)
-    figure, panels = new_figure("Success while learning", len(domains), height=3.9)
-    for axes, domain in zip(panels, domains, strict=True):
+    shown = len(domains) + bool(drifts)
+    figure, panels = new_figure("Success while learning", shown, height=3.9)
+    for axes, domain in zip(panels, domains, strict=False):
         axes.set_title(domain_label(domain, lines=2), fontsize=10, color=INK)
         for curve in curves:
             if curve.domain == domain:
@@ -118,6 +139,8 @@ def learning_curves(curves: Sequence[Curve]) -> Figure:
         count_axis(axes, "environment steps")
     for axes in panels[1:]:
         axes.set_ylabel("")
+    if drifts:
+        _drifts(panels[-1], drifts, looks)
     legend(figure, panels)
     seeds = max(len(curve.success) for curve in curves)
     episodes = max(curve.episodes for curve in curves)
@@ -127,7 +150,13 @@ def learning_curves(curves: Sequence[Curve]) -> Figure:
         if seeds > 1
         else "Line: one seed; band: 95 % Wilson interval."
     )
-    caption(figure, f"{band} Each point: {episodes} episodes a seed.")
+    text = f"{band} Each point: {episodes} episodes a seed."
+    if drifts:
+        text += (
+            " Drift: RMS of how far the most likely actions have moved on held-out "
+            "demonstrations; 1 is half of the actions' range."
+        )
+    caption(figure, text)
     return figure
 
 
@@ -325,6 +354,22 @@ def _curve(axes: Axes, curve: Curve, colour: str, marker: str) -> None:
     if len(rates) > 1:
         worst = rates[np.argmin(rates[:, -1])]
         axes.plot(curve.frames, worst, color=colour, linestyle=":", linewidth=1.4)
+
+
+def _drifts(
+    axes: Axes, drifts: Sequence[Drift], looks: Mapping[str, tuple[str, str]]
+) -> None:
+    """Draw means over seeds of drift, with Student's t interval of each as a band."""
+    axes.set_title("drift, held out", fontsize=10, color=INK)
+    for one in drifts:
+        colour, marker = looks[one.method]
+        intervals = [mean_interval(column) for column in np.transpose(one.drift)]
+        mean, low, high = np.transpose(intervals)
+        axes.plot(one.frames, mean, color=colour, marker=marker, markersize=4)
+        low = np.maximum(low, 0)
+        axes.fill_between(one.frames, low, high, color=colour, alpha=0.15, linewidth=0)
+    axes.set_ylim(bottom=0)
+    count_axis(axes, "environment steps")
 
 
 def _bars_caption(rows: Sequence[ResultRow]) -> str:

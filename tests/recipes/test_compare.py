@@ -24,6 +24,7 @@ from rlco.runs.compare.jobs import Job, expand
 from rlco.runs.compare.plan import make_plan
 from rlco.runs.compare.queue import Queue
 from rlco.runs.compare.read_experiment import read_experiment
+from rlco.runs.compare.smallest import smallest
 from rlco.runs.config import parse
 
 pytestmark = pytest.mark.slow
@@ -536,8 +537,26 @@ def test_a_job_that_cannot_be_resumed_begins_anew(grid: Grid) -> None:
         ),
         (lambda c: c.update(without=["seed"]), "without holds 'seed', which is no"),
         (
-            lambda c: c["table"].update(mean=True),
-            "table has mean: True; give true beside by, or leave it out",
+            lambda c: c["table"].update(by="beta", mean="seed"),
+            "table has mean: 'seed', which is none of by; known: beta",
+        ),
+        (
+            lambda c: c["table"].update(axis="beta"),
+            "table has axis: 'beta', which is none of by; known: none",
+        ),
+        (
+            lambda c: c["table"].update(published=[{"source": "a paper"}]),
+            "table's published {'source': 'a paper'} is not of the form {source: WHO, ",
+        ),
+        (
+            lambda c: c["table"].update(
+                published=[{"source": "p", "at": {"beta": 3}, "success": {"frst": 0.1}}]
+            ),
+            "table's published names 'frst' (did you mean 'first'?), which is no ",
+        ),
+        (
+            lambda c: c["table"]["methods"]["first"].update(at={"beta": 3}),
+            "table's method 'first''s at has beta: 3, which is no value of it; known: ",
         ),
         (
             lambda c: c["table"].update(methods={"rl": {"job": "second"}}),
@@ -598,18 +617,21 @@ def test_an_experiment_has_options_that_its_scripts_take_and_no_tuning_seed(
     experiment = read_experiment(path)
     assert not set(experiment.over[experiment.table.seed]) & set(TUNED_ON)
     for job in {job.kind.name: job for job in expand(experiment)}.values():
-        spec = importlib.util.spec_from_file_location("script", job.kind.path)
-        assert spec is not None
-        assert spec.loader is not None
-        script = importlib.util.module_from_spec(spec)
-        sys.modules["script"] = script
-        spec.loader.exec_module(script)
-        folders = dict.fromkeys(job.needs, "folder")
-        options = job.options(folders)
-        if not job.kind.results:
-            options["out"] = "folder"  # of the data, which the runner gives
-        given = [f"{key}={value}" for key, value in options.items()]
-        parse(script.Config, given, job.kind.path)
+        check_options(job, job.options(dict.fromkeys(job.needs, "folder")))
+
+
+def check_options(job: Job, options: dict[str, str]) -> Any:
+    """Read a job's options as its script does; return its configuration."""
+    spec = importlib.util.spec_from_file_location("script", job.kind.path)
+    assert spec is not None
+    assert spec.loader is not None
+    script = importlib.util.module_from_spec(spec)
+    sys.modules["script"] = script
+    spec.loader.exec_module(script)
+    if not job.kind.results:
+        options["out"] = "folder"  # of the data, which the runner gives
+    given = [f"{key}={value}" for key, value in options.items()]
+    return parse(script.Config, given, job.kind.path)
 
 
 def test_the_file_in_the_documentation_can_be_read(tmp_path: Path) -> None:
@@ -620,3 +642,24 @@ def test_the_file_in_the_documentation_can_be_read(tmp_path: Path) -> None:
     names = [job.name for job in expand(experiment)]
     assert len(names) == 5 + 10
     assert names[5:7] == ["rl_seed0_beta0", "rl_seed0_beta0.2"]
+
+
+def test_the_smallest_form_of_an_experiment_is_one_cell_of_everything(
+    grid: Grid, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert len(grid.run("smallest=true")) == 2  # of the first values, one of each kind
+    with pytest.raises(SystemExit):
+        grid.run("smallest=true", f"cells={grid.folder / 'kept'}")
+    assert "would keep results that mean nothing" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("path", EXPERIMENTS, ids=lambda path: path.stem)
+def test_every_experiment_has_a_smallest_form_that_its_scripts_take(path: Path) -> None:
+    jobs = expand(smallest(read_experiment(path)))
+    assert len(jobs) == len({job.kind.name for job in jobs})
+    for job in jobs:
+        options = job.options(dict.fromkeys(job.needs, "folder"))
+        config = check_options(job, options)
+        assert getattr(config, "iterations", 2) <= 2
+        assert getattr(config, "updates", 50) <= 50
+        assert getattr(config, "episodes", "") in (4, "", "0-3")

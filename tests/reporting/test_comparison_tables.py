@@ -8,16 +8,17 @@ import pytest
 
 from rlco.errors import DataError
 from rlco.reporting.comparison import (
-    Entry,
-    State,
     comparison_table,
     cost_table,
-    curves_of,
-    mean_table,
     overview_table,
     prediction_table,
 )
-from rlco.runs.compare.experiment import Prediction
+from rlco.reporting.drift import drift_table, drifts_of
+from rlco.reporting.entries import Entry, State, curves_of
+from rlco.reporting.group_means import mean_table
+from rlco.reporting.plots import learning_curves
+from rlco.reporting.success_over import success_over
+from rlco.runs.compare.experiment import Prediction, Published
 
 
 def row(successes: int, domain: str = "sim", **more: Any) -> dict[str, Any]:
@@ -30,11 +31,15 @@ def row(successes: int, domain: str = "sim", **more: Any) -> dict[str, Any]:
 def entries(
     label: str, counts: list[int | None], state: State = "done", group: str = ""
 ) -> list[Entry]:
-    """Return one entry a seed; None is a seed without a result."""
+    """Return one entry a seed; None is a seed without a result.
+
+    A group "task x, kind y" has these values.
+    """
+    values = dict(part.split() for part in group.split(", ") if " " in part)
     return [
-        Entry(label, group, seed, "missing")
+        Entry(label, group, seed, "missing", values=values)
         if count is None
-        else Entry(label, group, seed, state, (row(count),))
+        else Entry(label, group, seed, state, (row(count),), values=values)
         for seed, count in enumerate(counts)
     ]
 
@@ -149,19 +154,81 @@ def test_a_prediction_counts_the_seeds_that_all_three_methods_have() -> None:
     assert prediction_table(given, []) == ""
 
 
-def test_a_mean_over_groups_counts_each_alike_and_those_with_both_methods() -> None:
+def test_a_mean_over_groups_counts_each_alike() -> None:
     # Gains of 0.1 and 0.3, mean 0.2; of 0.4, 0.5 and 0.6, mean 0.5. Variances of the
     # means 0.01 and 1/300; 1 and 2 degrees of freedom, 1.68 of both together; t = 5.18.
     both = [
-        *entries("a", [5, 7], group="task x"),
-        *entries("b", [4, 4], group="task x"),
-        *entries("a", [8, 9, 9], group="task y"),
-        *entries("b", [4, 4, 3], group="task y"),
-        *entries("b", [4, 4, 3], group="task z"),
+        *entries("a", [5, 7], group="kind k, task x"),
+        *entries("b", [4, 4], group="kind k, task x"),
+        *entries("a", [8, 9, 9], group="kind k, task y"),
+        *entries("b", [4, 4, 3], group="kind k, task y"),
+        *entries("a", [1], group="kind l, task x"),
     ]
-    found = lines(mean_table(both, [("a", "b"), ("b", "c")]))
-    assert found[1] == "| a - b | +35.0 [+5.1, +64.9] | 2 |"
-    assert found[2] == "| b - c | missing | 0 |"
+    reported = Published("a paper", {"kind": "k"}, {"b": 0.4})
+    found = lines(mean_table(both, [("a", "b"), ("b", "c")], ["task"], [reported]))
+    assert found[0] == "| mean over task, in | a | b | a - b | b - c | tables |"
+    # a: means 0.6 and 26/30, of variances 0.01 and 1/900; 1.23 degrees of freedom, for
+    # which t = 8.2; half-width 8.2 * sqrt(0.0111) / 2 = 0.43.
+    assert found[1].startswith("| kind k, sim | 73% [30%, 100%] | 38% [")
+    assert found[1].endswith("| +35.0 [+5.1, +64.9] | missing | 2 |")
+    assert found[2] == "| *a paper* |  | *40%* |  |  |  |"
+    assert found[3] == "| kind l, sim | 10% | missing | missing | missing | 1 |"
+
+
+def test_what_others_reported_stands_below_the_group_that_it_belongs_beside() -> None:
+    given = [*entries("a", [5], group="task x"), *entries("a", [5], group="task y")]
+    reported = Published("a paper", {"task": "x"}, {"a": 0.25})
+    assert lines(overview_table(given, [("a", "b")], [reported]))[1:] == [
+        "| task x, sim | 50% | - |",
+        "| *a paper* | *25%* |  |",
+        "| task y, sim | 50% | - |",
+    ]
+
+
+def drifted(label: str, seed: int, *drift: float) -> Entry:
+    curve = tuple(
+        {"frames": 8.0 * step, "success_sim": 0.5, "drift_heldout": value}
+        for step, value in enumerate(drift)
+    )
+    return Entry(label, "", seed, "done", (row(5),), curve)
+
+
+def test_drift_at_the_end_is_compared_by_seed() -> None:
+    runs = [drifted("rl", 0, 0.0, 0.4), drifted("rl", 1, 0.0, 0.2)]
+    runs += [drifted("co", 0, 0.0, 0.1), drifted("co", 2, 0.0, 0.3)]
+    found = lines(
+        drift_table([*runs, *entries("sft", [3])], [("rl", "co"), ("co", "sft")])
+    )
+    # t[1] = 12.706, of two that differ by 0.2: half-width 1.2706.
+    assert found == [
+        "| drift at the end | rl | co | rl - co |",
+        "| held-out demonstrations | 0.300 [-0.971, 1.571] | 0.200 [-1.071, 1.471] | "
+        "+0.300 |",
+    ]
+    assert drift_table(entries("sft", [3]), []) == ""
+
+
+def test_drift_is_drawn_beside_success() -> None:
+    runs = [drifted("rl", seed, 0.0, 0.2 + 0.2 * seed) for seed in range(2)]
+    (*_, panel) = learning_curves(curves_of(runs), drifts_of(runs)).axes
+    assert panel.get_title() == "drift, held out"
+    assert panel.lines[0].get_ydata() == pytest.approx([0.0, 0.3])
+
+
+def test_success_is_drawn_over_a_variable_in_a_figure_for_each_of_the_others() -> None:
+    given = [
+        *entries("a", [2, 4], group="kind k, demos 5"),
+        *entries("a", [8, 8], group="kind k, demos 20"),
+        *entries("b", [1], group="kind k, demos 20"),
+        *entries("a", [9], group="kind l, demos 5"),
+    ]
+    found = success_over(given, "demos")
+    assert list(found) == ["kind k", "kind l"]
+    (axes,) = found["kind k"].axes
+    assert [tick.get_text() for tick in axes.get_xticklabels()] == ["5", "20"]
+    (several, one) = axes.lines
+    assert several.get_ydata() == pytest.approx([0.3, 0.8])
+    assert one.get_ydata() == pytest.approx([0.1])
 
 
 def test_a_group_lists_no_difference_of_a_method_that_it_has_not() -> None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -47,12 +47,14 @@ class Line:
         job: Whose results it is.
         method: Which rows of them; None: there are no others.
         curve: The table of the job's that is drawn; None: none.
+        at: Values of variables that it has in every table, whatever the table's.
     """
 
     label: str
     job: str
     method: str | None
     curve: str | None
+    at: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -71,6 +73,21 @@ class Prediction:
 
 
 @dataclass(frozen=True)
+class Published:
+    """What others reported on the same question, to stand beside ours.
+
+    Attributes:
+        source: Who, on what.
+        at: Values of variables that it belongs beside.
+        success: Success rates by method's label, in [0, 1].
+    """
+
+    source: str
+    at: Mapping[str, Any]
+    success: Mapping[str, float]
+
+
+@dataclass(frozen=True)
 class Table:
     """What is compared.
 
@@ -81,7 +98,10 @@ class Table:
         differences: Pairs of labels, first minus second.
         predictions: Rank correlations over the tables that ``by`` makes.
         curve_episodes: Episodes behind a point of a curve; None: as many as at the end.
-        mean: Whether the differences have a mean over the tables that ``by`` makes.
+        mean: Those of ``by`` that a mean is taken over; of none there is no mean.
+        axis: The one of ``by`` over which success is drawn; None: it is not.
+        domains: Where success is tabulated, in this order; (): all that there are.
+        published: What others reported.
     """
 
     by: tuple[str, ...]
@@ -90,7 +110,10 @@ class Table:
     differences: tuple[tuple[str, str], ...]
     predictions: tuple[Prediction, ...]
     curve_episodes: int | None
-    mean: bool = False
+    mean: tuple[str, ...] = ()
+    axis: str | None = None
+    domains: tuple[str, ...] = ()
+    published: tuple[Published, ...] = ()
 
 
 #: Values of some variables, combinations of which are not run.

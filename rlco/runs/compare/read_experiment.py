@@ -17,6 +17,7 @@ from rlco.runs.compare.experiment import (
     JobKind,
     Line,
     Prediction,
+    Published,
     Table,
     Without,
     labels_of,
@@ -59,7 +60,10 @@ def read_experiment(path: Path) -> Experiment:
           differences: [[beta 0.2, sft], [beta 0.2, beta 0]]
           # With `by: gap`, the rank correlation of two means over the gaps:
           # predictions: [{gain: [beta 0.2, beta 0], falls_with: sft, domain: stand_in}]
-          # and with `mean: true` the differences' mean over the gaps, by domain.
+          # `mean: gap` adds means over the gaps, `axis: gap` draws success over them,
+          # `domains: [sim]` leaves the others out, and a method with `at: {gap: yaw0}`
+          # is the one of that gap in every table. What others reported stands beside:
+          # published: [{source: a paper, at: {gap: yaw0}, success: {sft: 0.4}}]
 
     ``{seed}`` is a variable's value; ``{sft}`` the run folder of the job ``sft`` with
     the same values of the variables that it has. A job may need those written above it.
@@ -258,18 +262,13 @@ class _Reader:
     ) -> Table:
         """Return what is compared."""
         content = self.mapping(given, "table")
-        known = (
-            "by",
-            "seed",
-            "methods",
-            "differences",
-            "predictions",
-            "curve_episodes",
-            "mean",
-        )
+        known = ["by", "seed", "methods", "differences", "predictions", "published"]
+        known += ["curve_episodes", "mean", "axis", "domains"]
         self.known(content, known, "table")
-        by = content.get("by", [])
-        by = [by] if isinstance(by, str) else list(by)
+        by, mean, domains = (
+            given if isinstance(given, list) else [given]
+            for given in (content.get(name, []) for name in ("by", "mean", "domains"))
+        )
         seed = str(content.get("seed", "seed"))
         for name in [*by, seed]:
             if name not in over:
@@ -289,12 +288,65 @@ class _Reader:
         episodes = content.get("curve_episodes")
         if episodes is not None and not isinstance(episodes, int):
             self.problems.append(f"table's curve_episodes is {episodes!r}, no number")
-        mean = content.get("mean", False)
-        if not isinstance(mean, bool) or (mean and not by):
-            self.problems.append(
-                f"table has mean: {mean!r}; give true beside by, or leave it out"
-            )
-        return Table(tuple(by), seed, lines, pairs, predictions, episodes, mean is True)
+        axis = content.get("axis")
+        self.problems += [
+            f"table has {name}: {value!r}, which is none of by; known: "
+            f"{', '.join(map(str, by)) or 'none'}"
+            for name, given in (("mean", mean), ("axis", [axis] if axis else []))
+            for value in given
+            if value not in by
+        ]
+        published = self.published(content.get("published") or [], labels, over)
+        return Table(
+            by=tuple(by),
+            seed=seed,
+            lines=lines,
+            differences=pairs,
+            predictions=predictions,
+            curve_episodes=episodes,
+            mean=tuple(mean),
+            axis=axis,
+            domains=tuple(map(str, domains)),
+            published=published,
+        )
+
+    def published(
+        self, given: Any, labels: Iterable[str], over: Mapping[str, tuple[Any, ...]]
+    ) -> tuple[Published, ...]:
+        """Return what others reported."""
+        found = []
+        for one in given if isinstance(given, list) else [given]:
+            success = one.get("success") if isinstance(one, dict) else None
+            if not (
+                isinstance(success, dict)
+                and {*one} == {"source", "at", "success"}
+                and isinstance(one["at"], dict)
+                and all(
+                    isinstance(rate, int | float) and 0 <= rate <= 1
+                    for rate in success.values()
+                )
+            ):
+                self.problems.append(
+                    f"table's published {one!r} is not of the form {{source: WHO, at: "
+                    "{VARIABLE: VALUE}, success: {METHOD: RATE}}, rates from 0 to 1"
+                )
+                continue
+            self.labels(map(str, success), labels, "table's published")
+            self.at(one["at"], over, "table's published")
+            found.append(Published(str(one["source"]), one["at"], success))
+        return tuple(found)
+
+    def at(
+        self, given: Mapping[Any, Any], over: Mapping[str, tuple[Any, ...]], what: str
+    ) -> None:
+        """Check values of variables."""
+        self.known(given, list(over), f"{what}'s at")
+        self.problems += [
+            f"{what}'s at has {name}: {value!r}, which is no value of it; known: "
+            f"{', '.join(map(str, over[name]))}"
+            for name, value in given.items()
+            if name in over and value not in over[name]
+        ]
 
     def differences(
         self, given: Any, labels: Iterable[str]
@@ -347,7 +399,12 @@ class _Reader:
         """Return one method of the table."""
         what = f"table's method {label!r}"
         content = self.mapping(content, what)
-        self.known(content, ("job", "method", "curve"), what)
+        self.known(content, ("job", "method", "curve", "at"), what)
+        at = content.get("at", {})
+        if not isinstance(at, dict):
+            self.problems.append(f"{what} has at: {at!r}, which maps no variables")
+            at = {}
+        self.at(at, over, what)
         job = str(content.get("job"))
         method, curve = (
             None if (given := content.get(name)) is None else str(given)
@@ -358,14 +415,14 @@ class _Reader:
             self.problems.append(
                 f"{what} has job {job!r}{suggest(job, jobs)}; known: {', '.join(jobs)}"
             )
-            return Line(label, job, method, curve)
+            return Line(label, job, method, curve, at)
         if not jobs[job].results:
             self.problems.append(f"{what} has job {job!r}, which has no results")
-        missing = {*jobs[job].variables} - elsewhere - {*named}
+        missing = {*jobs[job].variables} - elsewhere - {*named, *at}
         if missing:
             braces = " ".join(f"{{{name}}}" for name in sorted(missing))
             self.problems.append(
                 f"{what} mixes all values of {', '.join(sorted(missing))}; put "
                 f"{braces} into its label, or the variable into by"
             )
-        return Line(label, job, method, curve)
+        return Line(label, job, method, curve, at)

@@ -1,0 +1,107 @@
+"""A figure of success over the values of one variable of an experiment."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from rlco.reporting.entries import Entry, domains_of, ends_of, found_runs, group_name
+from rlco.reporting.plot_style import (
+    INK,
+    caption,
+    domain_label,
+    legend,
+    new_figure,
+    rate_axis,
+    styles,
+)
+from rlco.reporting.statistics import Interval, mean_interval
+
+#: Success by method and value of the variable.
+Points = Mapping[str, Mapping[str, Interval]]
+
+
+def success_over(entries: Sequence[Entry], variable: str) -> dict[str, Figure]:
+    """Draw each method's success over the values of a variable, a panel a domain.
+
+    Means over seeds with Student's t interval of 95 %; joined by lines where the values
+    are numbers. There is a figure for all values of the groups' other variables, by its
+    name.
+
+    Example:
+        >>> row = {"domain": "sim", "successes": 3, "episodes": 4}
+        >>> given = [
+        ...     Entry("sft", f"demos {n}", 0, "done", (row,), values={"demos": n})
+        ...     for n in (5, 20)
+        ... ]
+        >>> list(success_over(given, "demos"))
+        ['']
+    """
+    figures = {}
+    others = [
+        {name: value for name, value in entry.values.items() if name != variable}
+        for entry in entries
+    ]
+    for name in dict.fromkeys(map(group_name, others)):
+        mine = [
+            e for e, o in zip(entries, others, strict=True) if group_name(o) == name
+        ]
+        found = {
+            value: found_runs(e for e in mine if e.values[variable] == value)
+            for value in dict.fromkeys(entry.values[variable] for entry in mine)
+        }
+        domains = list(
+            dict.fromkeys(d for runs in found.values() for d in domains_of(runs))
+        )
+        if not domains:
+            continue
+        title = f"Success over {variable}" + (f", {name}" if name else "")
+        figure, panels = new_figure(title, len(domains), height=3.9)
+        labels = list(dict.fromkeys(entry.label for entry in mine))
+        joined = all(isinstance(value, int | float) for value in found)
+        for axes, domain in zip(panels, domains, strict=True):
+            every = {
+                label: {
+                    str(value): mean_interval(rates)
+                    for value, runs in found.items()
+                    if (rates := list(ends_of(runs.get(label, {}), domain).values()))
+                }
+                for label in labels
+            }
+            points = {label: them for label, them in every.items() if them}
+            _panel(axes, [str(value) for value in found], points, joined)
+            axes.set_title(domain_label(domain, lines=2), fontsize=10, color=INK)
+            axes.set_xlabel(variable)
+        for axes in panels[1:]:
+            axes.set_ylabel("")
+        # Below the title, which is long.
+        legend(figure, panels, below=True)
+        seeds = len({entry.seed for entry in mine})
+        caption(figure, f"Mean of {seeds} seeds; line: its 95 % t interval.")
+        figures[name] = figure
+    return figures
+
+
+def _panel(axes: Axes, values: Sequence[str], points: Points, joined: bool) -> None:
+    looks = styles(points)
+    for number, (label, (colour, marker)) in enumerate(looks.items()):
+        aside = (number - (len(looks) - 1) / 2) * 0.5 / len(looks)
+        there = [value for value in values if value in points[label]]
+        x = np.array([values.index(value) + aside for value in there])
+        mean, low, high = np.transpose([points[label][value] for value in there])
+        axes.vlines(x, np.maximum(low, 0), np.minimum(high, 1), color=colour)
+        axes.plot(
+            x,
+            mean,
+            color=colour,
+            marker=marker,
+            markersize=5,
+            linestyle="-" if joined else "",
+            label=label,
+        )
+    short = max(map(len, values)) * len(values) < 40
+    axes.set_xticks(range(len(values)), values, rotation=0 if short else 30)
+    rate_axis(axes)

@@ -1,0 +1,59 @@
+"""An experiment cut down to what shows in a minute whether all of it runs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+from rlco.files import read_yaml
+from rlco.runs.compare.experiment import Experiment, JobKind, Published
+
+#: Options that take long, where a job has them and its script's debug.yaml does not.
+_SHORT: dict[str, Any] = {
+    "pretrain_scenes": 64,
+    "pretrain_passes": 1,
+    "horizon": 16,
+    "final_episodes": 4,
+    "batch_size": 32,
+    "iterations": 2,
+    "updates": 50,
+    "eval_episodes": 4,
+}
+
+
+def smallest(experiment: Experiment) -> Experiment:
+    """Return an experiment with one value of each variable and short jobs.
+
+    Each job has its script's ``config=debug``, and less of what else takes long. What
+    it comes to means nothing.
+    """
+    over = {name: values[:1] for name, values in experiment.over.items()}
+    table = experiment.table
+    known = {name: values[0] for name, values in over.items()}
+    lines = tuple(
+        replace(line, at={name: known[name] for name in line.at})
+        for line in table.lines
+    )
+    beside: tuple[Published, ...] = tuple(
+        one for one in table.published if one.at.items() <= known.items()
+    )
+    return replace(
+        experiment,
+        over=over,
+        without=(),
+        jobs={name: _short(job) for name, job in experiment.jobs.items()},
+        table=replace(table, lines=lines, published=beside, curve_episodes=None),
+    )
+
+
+def _short(job: JobKind) -> JobKind:
+    options = dict(job.options)
+    options |= {name: value for name, value in _SHORT.items() if name in options}
+    debug = job.path.with_suffix("") / "debug.yaml"
+    if debug.is_file():
+        small = read_yaml(debug)
+        options = {name: value for name, value in options.items() if name not in small}
+        # The smallest recordings have four episodes, of which a part may be asked for.
+        options |= {"episodes": "0-3"} if "episodes" in options else {}
+        options["config"] = "debug"
+    return replace(job, options=options, minutes=0.1)
