@@ -1,7 +1,7 @@
 """What a model's text says before it is compiled: how much it makes, what it reads.
 
-Both are found by reading tags, as leniently as MuJoCo does. What a text hides from this
-is still compiled within limits, see `rlco.gap.trial`.
+Both are found by reading tags, as leniently as MuJoCo does. Whatever is not plain is
+still compiled within limits, see `rlco.gap.trial`.
 """
 
 from __future__ import annotations
@@ -11,25 +11,22 @@ import re
 import sysconfig
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from html import unescape
 from math import prod
 from pathlib import Path, PurePosixPath
 
 from rlco.errors import RlcoError
+from rlco.gap.xml_tags import tags
 
 #: Elements that replicates and the like may add to a model. MuJoCo's time grows with
 #: their square, and is five seconds with 4000 bodies.
 MOST = 10_000
-_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
-_TAG = re.compile(r"<(/?)([^\s/>!?<]+)((?:[^>\"']|\"[^\"]*\"|'[^']*')*+)>")
-_ATTRIBUTE = re.compile(r"([^\s=/\"']+)\s*=\s*(\"[^\"]*\"|'[^']*')")
 _NUMBER = re.compile(r"0[xX][0-9a-fA-F]{1,12}|\d{1,12}")
 _COUNTED = ("replicate", "flexcomp", "composite")
 _SIDES = ("right", "left", "up", "down", "front", "back")
 _FILES = ("file", "filename", *(f"file{side}" for side in _SIDES))
 #: Levels above a model at which the ROS package is looked for that holds its meshes.
 _PACKAGE = 3
-#: Files that a model includes; what more of them say is left to MuJoCo.
+#: Files that a model may include and attach.
 _MANY = 200
 
 
@@ -44,6 +41,7 @@ class _Text:
         files: What is read, by the element that reads it.
         folders: Values of ``meshdir``, ``texturedir`` and ``assetdir``.
         stripped: Whether only the names of mesh files count, not their folders.
+        attached: Models that are read as models of their own.
         seen: Files that were included.
     """
 
@@ -53,12 +51,13 @@ class _Text:
     files: list[tuple[str, str]] = field(default_factory=list)
     folders: dict[str, list[str]] = field(default_factory=dict)
     stripped: bool = False
+    attached: list[Path] = field(default_factory=list)
     seen: set[Path] = field(default_factory=set)
 
     def read(self, source: str, times: int) -> None:
         """Take in the text of a file that is there so many times."""
         above = [times]
-        for closes, name, given, empty in _tags(source):
+        for closes, name, given, empty in tags(source):
             if closes:
                 del above[max(1, len(above) - 1) :]
                 continue
@@ -79,10 +78,14 @@ class _Text:
                 if key in given:
                     self.folders.setdefault(key, []).append(given[key])
         self.files += [(name, given[key]) for key in _FILES if key in given]
-        if name == "include" and "file" in given:
+        if name in ("include", "model") and "file" in given:
             path = self.folder / given["file"]
-            if path not in self.seen and path.is_file() and len(self.seen) < _MANY:
-                self.seen.add(path)
+            if path in self.seen or not path.is_file():
+                return
+            self.seen.add(path)
+            if name == "model":  # its paths are those of its own folder
+                self.attached.append(path)
+            elif len(self.seen) <= _MANY:
                 self.read(path.read_text("utf-8", "replace"), times)
 
     def paths(self) -> Iterator[Path]:
@@ -110,17 +113,35 @@ def check_text(path: Path, source: str, root: Path | None = None) -> None:
             too.
 
     Raises:
-        RlcoError: It replicates without measure, or reads a file elsewhere.
+        RlcoError: It replicates without measure, or reads a file elsewhere, or reads
+            hundreds of files.
     """
-    text = _Text(path.parent)
-    text.read(source, 1)
+    home = (root or _package(path.parent)).resolve()
+    seen: set[Path] = set()
+    waiting = [(path, source)]
+    while waiting:
+        part, its_source = waiting.pop()
+        text = _Text(part.parent, seen=seen)
+        text.read(its_source, 1)
+        _check_one(path, text, home)
+        waiting += [
+            (file, file.read_text("utf-8", "replace"))
+            for file in text.attached[: _MANY + 1]
+        ]
+
+
+def _check_one(path: Path, text: _Text, home: Path) -> None:
+    if len(text.seen) > _MANY:
+        raise RlcoError(
+            f"model {str(path)!r} includes or attaches more than {_MANY} files; write "
+            "it as fewer ones."
+        )
     if text.made - text.elements > MOST:
         raise RlcoError(
             f"model {str(path)!r} makes {text.made} elements of {text.elements} by "
             f"replicate, composite or flexcomp, and at most {MOST} more are compiled; "
             "give smaller counts."
         )
-    home = (root or _package(path.parent)).resolve()
     installed = Path(sysconfig.get_paths()["purelib"]).resolve()
     for file in text.paths():
         target = file.resolve()
@@ -140,16 +161,6 @@ def _package(folder: Path) -> Path:
         if (above / "package.xml").is_file():
             return above
     return folder
-
-
-def _tags(source: str) -> Iterator[tuple[bool, str, dict[str, str], bool]]:
-    """Yield each tag: whether it closes, name, attributes, whether nothing is in it."""
-    for closes, name, rest in _TAG.findall(_COMMENT.sub("", source)):
-        given = {
-            key: unescape(value[1:-1]).replace("\\", "/")
-            for key, value in _ATTRIBUTE.findall(rest)
-        }
-        yield bool(closes), name, given, rest.rstrip().endswith("/")
 
 
 def _whole(number: str) -> int:

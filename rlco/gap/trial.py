@@ -13,6 +13,7 @@ from pathlib import Path
 
 from rlco.errors import RlcoError
 from rlco.files.reading import cut
+from rlco.gap.xml_tags import is_understood, tags
 
 #: What a model may take to compile, beyond what MuJoCo takes itself: memory, time of
 #: the processor, and time on a machine that is busy. [bytes], [s], [s]
@@ -34,8 +35,8 @@ _PLAIN = frozenset(
         *("mechanicalReduction",),
     )
 )
-_ELEMENT = re.compile(r"<\s*([^\s/>!?]+)")
-_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
+#: Elements that MuJoCo compiles in a second; its time grows with their square.
+_MANY = 1000
 #: Attributes whose number is a size, not a property.
 _SIZES = re.compile(r"\b(nsample|user|n[a-z]*_?user)\s*=")
 _FAILED = 3
@@ -89,7 +90,7 @@ def try_model(path: Path, source: str) -> None:
 
 
 def is_plain(source: str) -> bool:
-    """Return whether a model is about as large as its text, and reads no other file.
+    """Return whether a model is small, as large as its text, and reads no other file.
 
     Example:
         >>> is_plain("<mujoco><worldbody><body/></worldbody></mujoco>")
@@ -97,8 +98,13 @@ def is_plain(source: str) -> bool:
         >>> is_plain("<mujoco><asset><mesh file='arm.stl'/></asset></mujoco>")
         False
     """
-    bare = _COMMENT.sub("", source)
-    return _PLAIN.issuperset(_ELEMENT.findall(bare)) and not _SIZES.search(bare)
+    names = [tag.name for tag in tags(source) if not tag.closes]
+    return (
+        is_understood(source)
+        and len(names) <= _MANY
+        and _PLAIN.issuperset(names)
+        and not _SIZES.search(source)
+    )
 
 
 def does_not_compile(path: Path, said: str) -> RlcoError:

@@ -103,6 +103,10 @@ LEAVING = [
     asset("<hfield file='/dev/zero'/>"),
     asset("<model file='../other.xml'/>"),
     asset("<skin file='linked/a.skn'/>"),
+    # What MuJoCo takes for a name or for words is no comment.
+    "<mujoco><body name='<!--'/><include file='/a.xml'/><body name='-->'/></mujoco>",
+    "<mujoco><![CDATA[<!--]]><include file='/a.xml'/><![CDATA[-->]]></mujoco>",
+    asset("<model file='inner/reads.xml'/>"),  # which reads what lies above arm
     "<robot><mujoco><compiler strippath='false'/></mujoco><link><visual><geometry>"
     "<mesh filename='../a.stl'/></geometry></visual></link></robot>",
 ]
@@ -115,6 +119,9 @@ def test_a_model_that_reads_files_elsewhere_is_refused(
     folder = tmp_path / "models" / "arm"
     folder.mkdir(parents=True)
     (folder / "linked").symlink_to(tmp_path)
+    (folder / "inner").mkdir()
+    mesh = "<mesh file='../../a.stl'/>"
+    (folder / "inner" / "reads.xml").write_text(asset(mesh))
     file = folder / "arm.xml"
     file.write_text(xml)
     with pytest.raises(RlcoError, match=r"outside of .*; if you trust the model, give"):
@@ -134,6 +141,36 @@ def test_a_model_that_reads_files_elsewhere_is_refused(
 )
 def test_what_stays_in_its_folder_is_read(tmp_path: Path, xml: str) -> None:
     check_text(tmp_path / "arm.xml", xml)
+
+
+def test_an_attached_model_reads_from_its_own_folder(tmp_path: Path) -> None:
+    (tmp_path / "inner").mkdir()
+    reads = asset("<mesh file='../a.stl'/><model file='again.xml'/>")
+    for name in ("reads", "again"):  # which attach each other
+        (tmp_path / "inner" / f"{name}.xml").write_text(reads.replace("again", "reads"))
+    check_text(tmp_path / "arm.xml", asset("<model file='inner/reads.xml'/>"))
+
+
+def test_more_files_than_are_read_are_refused(tmp_path: Path) -> None:
+    many = [f"<include file='a{number}.xml'/>" for number in range(201)]
+    for number in range(201):
+        (tmp_path / f"a{number}.xml").write_text("<mujoco/>")
+    check_text(tmp_path / "arm.xml", f"<mujoco>{''.join(many[:200])}</mujoco>")
+    with pytest.raises(RlcoError, match="includes or attaches more than 200 files"):
+        check_text(tmp_path / "arm.xml", f"<mujoco>{''.join(many)}</mujoco>")
+
+
+@pytest.mark.parametrize(
+    "inside",
+    [
+        "<body name='<!--'/><replicate count='9'/><body name='-->'/>",
+        "<![CDATA[<!--]]><replicate count='9'/><![CDATA[-->]]>",
+        "<body/>" * 1001,
+        "<body name='unclosed",
+    ],
+)
+def test_what_is_hidden_or_long_is_tried_first(inside: str) -> None:
+    assert not trial.is_plain(f"<mujoco><worldbody>{inside}</worldbody></mujoco>")
 
 
 def test_a_trusted_models_files_may_be_elsewhere(tmp_path: Path) -> None:
