@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from rlco.errors import ConfigError, RlcoError
+from rlco.errors import ConfigError, RlcoError, printable
 from rlco.reporting.comparison import (
     comparison_table,
     cost_table,
@@ -218,7 +218,7 @@ def save(experiment: Experiment, jobs: Sequence[Job], store: Store, out: Path) -
             prediction.domain,
         )
         save_figure(figure, out / "plots" / f"prediction {number}.png")
-    print(text)
+    print(printable(text))
     log.info("table: %s", out / "table.md")
 
 

@@ -13,6 +13,7 @@ import logging
 from dataclasses import dataclass
 from pathlib import Path
 
+from rlco.errors import printable
 from rlco.run import run_recipe
 from rlco.runs.config import REQUIRED, option
 from rlco.runs.whole_files import check_new_folder, write_json, write_text
@@ -48,7 +49,7 @@ def main(config: Config) -> None:
     found = compare(first, second)
     said = notes(found, *files)
     text = table(found, *names)
-    print(text)
+    print(printable(text))
     for note in said:
         log.info("%s", note)
     if config.out is not None:

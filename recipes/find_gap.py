@@ -89,7 +89,7 @@ class Config:
         "folder in which all files lie that the model reads, such as meshes; null: its "
         "own, or that of the ROS package around it",
     )
-    threads: int = option(2, "simulations at a time", minimum=1)
+    threads: int = option(2, "simulations at a time", minimum=1, maximum=1024)
     film: bool = option(
         True, "whether the report has a film of the robot, measured and simulated"
     )

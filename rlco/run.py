@@ -22,10 +22,12 @@ from rlco.reporting.headless import choose_gl
 from rlco.runs import checkpoints, run_folder
 from rlco.runs.config import RunOptions, parse, to_yaml
 from rlco.runs.endings import (
+    NO_PATH,
     STORAGE,
     Stopped,
     is_out_of_memory,
     memory_problem,
+    path_problem,
     stop_on_signals,
     storage_problem,
 )
@@ -85,6 +87,9 @@ def run_recipe[C](
         sys.stderr.write(f"error: {error}\n")
         raise SystemExit(2) from None
     except OSError as error:
+        if error.errno in NO_PATH:
+            sys.stderr.write(f"error: {path_problem(error)}\n")
+            raise SystemExit(2) from None
         if error.errno not in STORAGE:
             raise
         sys.stderr.write(f"error: {storage_problem(error)}\n")

@@ -21,7 +21,7 @@ from torchrl.envs.utils import ExplorationType
 from rlco.collectors.local_rollouts import checked
 from rlco.collectors.rollout_checks import FiniteRollout
 from rlco.envs.chunk_env import ChunkEnv
-from rlco.errors import LostProcessError, RlcoError
+from rlco.errors import ConfigError, LostProcessError, RlcoError
 from rlco.physics.effects import load_code
 from rlco.runs.ray_cluster import connect, disconnect, import_ray
 from rlco.runs.state_files import seed_everything
@@ -83,9 +83,29 @@ class RayRollouts:
         self._part, self._parts = part, parts
         self._make_env = partial(_worker_env, workers.make_env, read, group_size)
         self._connected = connect(workers.address, workers.count)
+        self._check_processors()
         self._collector: Any = None
         self._batches: Iterator[TensorDictBase] = iter(())
         self._start()
+
+    def _check_processors(self) -> None:
+        """Refuse what would wait without end, and without a word, for processors.
+
+        Raises:
+            ConfigError: The cluster has fewer than there are workers.
+        """
+        there = int(import_ray().cluster_resources().get("CPU", 0))
+        wanted = max(self._workers.count, self._parts)
+        if there < wanted:
+            if self._connected:
+                disconnect()
+            raise ConfigError(
+                [
+                    f"the Ray cluster has {there} processors, and each of "
+                    f"{wanted} workers takes one; start more nodes, or give fewer "
+                    "workers"
+                ]
+            )
 
     def play(self, iteration: int) -> TensorDictBase:
         """Return the rollout of one iteration, (N, T), in the order of the workers.

@@ -10,6 +10,9 @@ from rlco.errors import DataError, RlcoError
 from rlco.files.fields import Fields
 from rlco.files.reading import reading
 
+#: Characters of a JSON text: Python's objects take some twenty times their text.
+LONGEST = 40_000_000
+
 
 def read_text(
     path: Path,
@@ -23,6 +26,8 @@ def read_text(
     Raises:
         RlcoError: Of the class `error`, if it is missing or is not text.
     """
+    if path.exists() and not path.is_file():  # a pipe would be waited for
+        raise error(f"{str(path)!r} is no file; {advice}.")
     with reading(path, advice=advice, error=error):
         return path.read_text(encoding)
 
@@ -37,8 +42,14 @@ def parse_json(
     """Return the content of a JSON text from a file.
 
     Raises:
-        RlcoError: Of the class `error`, if it is no JSON, or nested too deeply.
+        RlcoError: Of the class `error`, if it is no JSON, or nested too deeply, or of
+            more than 40 million characters.
     """
+    if len(text) > LONGEST:
+        raise error(
+            f"file {str(path)!r} holds {len(text)} characters of JSON, and at most "
+            f"{LONGEST} are read; {advice}."
+        )
     with reading(path, advice=advice, error=error):
         return json.loads(text)
 

@@ -56,6 +56,8 @@ class Evaluation:
             RlcoError: There is no such method, or several and none was named.
         """
         known = self.methods
+        if not known:
+            raise RlcoError(f"{self.path} has no rows; evaluate a policy first.")
         if method is None and len(known) == 1:
             method = known[0]
         if method not in known:
@@ -140,7 +142,8 @@ def read_evaluation(path: Path) -> Evaluation:
     content = read_json(path, advice="let the evaluation write it again")
     if "per_task" in content.content or "per_episode" in content.content:
         return _of_lerobot(path, content)
-    return Evaluation(path, [cast(ResultRow, row) for row in read_results(path)])
+    rows = read_results(path, of_recipe=True)
+    return Evaluation(path, [cast(ResultRow, row) for row in rows])
 
 
 def _of_lerobot(path: Path, content: Fields) -> Evaluation:
@@ -283,7 +286,7 @@ def table(found: Sequence[Comparison], first: str, second: str) -> str:
             f"{estimate:+.1f}{reach}",
             one.first_only,
             one.second_only,
-            f"{one.p_value:.2g}",
+            f"{one.p_value:.2g}" if one.p_value else "0, to 300 digits",
             one.episodes,
             len(one.seeds),
         )
@@ -312,6 +315,12 @@ def notes(
             f"{LEROBOT} does not tell its seeds: the pairs are right only if both were "
             "evaluated with the same seed and the same number of environments."
         )
+    for one in (first, second):
+        alone = [c for c in columns(one.rows) if c not in [f.column for f in found]]
+        if alone:
+            said.append(
+                f"what only {one.path} has is left out: {'; '.join(map(_words, alone))}"
+            )
     left_out = sorted({seed for one in found for seed in one.left_out})
     if left_out:
         said.append(f"seeds that only one of the two has are left out: {left_out}")

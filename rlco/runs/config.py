@@ -191,7 +191,7 @@ def _command_line(
         if key in options:
             try:
                 value = options[key].from_text(text)
-            except yaml.YAMLError:
+            except (yaml.YAMLError, ValueError):
                 problems.append(f"option {key}: {shown(text)} is not a YAML value")
                 continue
         given[key] = _Setting(key, value)
@@ -299,14 +299,22 @@ def _read_yaml(
     if not isinstance(content, dict):
         problems.append(f"{path} must hold key: value lines")
         return None
-    settings = _flatten(content, options, str(path))
-    keys = [(setting.key, setting.when) for setting in settings]
+    try:
+        settings = _flatten(content, options, str(path))
+    except (yaml.YAMLError, ValueError) as error:
+        problems.append(
+            f"in {path}: a value before a group is no YAML: {shown(str(error))}"
+        )
+        return None
+    # A value may be a list, which a set cannot hold.
+    keys = [(setting.key, repr(setting.when)) for setting in settings]
     problems += [
         f"in {path}: option {key[0]} is given twice"
         for key in dict.fromkeys(keys)
         if keys.count(key) > 1
     ]
-    for name, value in dict.fromkeys(one.when for one in settings if one.when):
+    values = {repr(one.when): one.when for one in settings if one.when}
+    for name, value in values.values():
         if complaint := options[name].complaint(value):
             problems.append(f"in {path}: option {name}: {complaint}")
     return settings

@@ -25,6 +25,10 @@ STORAGE = (
 )
 
 
+#: What the system says of a path that it cannot follow: too long, or links in a circle.
+NO_PATH = (errno.ENAMETOOLONG, errno.ELOOP)
+
+
 class Stopped(KeyboardInterrupt):
     """A signal that asks the process to end; it ends as by Ctrl-C.
 
@@ -51,6 +55,19 @@ def stop_on_signals() -> None:
 
 def _stop(number: int, _frame: FrameType | None) -> None:
     raise Stopped(number)
+
+
+def path_problem(error: OSError) -> str:
+    """Return one sentence about a path that the system cannot follow.
+
+    Example:
+        >>> path_problem(OSError(36, "File name too long", "a" * 300))[:28]
+        "path 'aaaaaaaaaaaaaaaaaaaaaa"
+    """
+    return (
+        f"path {shown(str(error.filename))} is none that the system can follow "
+        f"({error.strerror}); give a shorter one, or mend its links."
+    )
 
 
 def storage_problem(error: OSError) -> str:

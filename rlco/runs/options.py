@@ -186,6 +186,7 @@ class Option:
 
         Raises:
             yaml.YAMLError: The text of a number, flag or list is no YAML.
+            ValueError: It is a number of thousands of digits.
 
         Example:
             >>> Option("out", str | None, None).from_text("007")

@@ -45,3 +45,6 @@ def _check(row: Fields) -> None:
         each = row.sequence(name, [0] * episodes)
         if len(each) != episodes or not all(one in (0, 1) for one in each):
             raise row.refuse(name, f"a list of {episodes} times 0 or 1")
+    if "outcomes" in row.content:
+        solved = sum(row.sequence("outcomes"))
+        row.integer("successes", minimum=solved, maximum=solved)

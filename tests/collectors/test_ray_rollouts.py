@@ -111,6 +111,14 @@ def test_what_is_not_finite_in_a_worker_is_said_as_in_this_process(
     assert "\n" not in str(caught.value)
 
 
+def test_more_workers_than_processors_are_refused_not_waited_for(
+    ray_cluster: None,
+) -> None:
+    workers = RayWorkers(1000, partial(ENV, num_envs=2), seed=7)
+    with pytest.raises(ConfigError, match=r"each of 1000 workers takes one"):
+        collector(2, workers=workers)
+
+
 def test_ranks_play_other_episodes_that_one_would_play_alone() -> None:
     alone = collector(4).collect(5)
     parts = []

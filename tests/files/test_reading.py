@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import os
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,21 @@ def test_our_own_errors_and_interrupts_go_through() -> None:
         raise CheckpointError("of another kind.")
     with pytest.raises(KeyboardInterrupt), reading("robot.npz"):
         raise KeyboardInterrupt
+
+
+def test_a_pipe_is_no_file_that_is_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "info.json")
+    with pytest.raises(DataError, match=r"info\.json' is no file; copy it again"):
+        read_json(tmp_path / "info.json")
+
+
+def test_a_json_text_that_would_fill_a_memory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("rlco.files.texts.LONGEST", 10)
+    (tmp_path / "info.json").write_text('{"a": [[], []]}')
+    with pytest.raises(DataError, match="holds 15 characters of JSON, and at most 10"):
+        read_json(tmp_path / "info.json")
 
 
 def test_a_value_is_shown_short_whatever_its_size() -> None:

@@ -9,6 +9,7 @@ from typing import Literal
 import pytest
 
 from rlco.errors import ConfigError
+from rlco.files import shown
 from rlco.runs.config import REQUIRED, RunOptions, option, parse, to_plain, to_yaml
 
 
@@ -104,6 +105,7 @@ def test_all_problems_come_at_once_and_name_what_is_allowed(recipe: Path) -> Non
         ("betas=[0,-.inf]", "option betas: -inf is not a finite number"),
         ("norm=-inf", "option norm: -inf is below the least allowed, 0"),
         ("ppo.epochs=65", "option ppo.epochs: 65 is above the greatest allowed, 64"),
+        ("seed=" + 5000 * "1", f"option seed: {shown(5000 * '1')} is not a YAML value"),
         ("data=${dta}", "option data: '${dta}' refers to an option that is not set"),
         (
             "config=debg",
@@ -258,6 +260,12 @@ def test_a_file_may_say_what_holds_for_one_value_of_an_option(recipe: Path) -> N
     assert (config.note, config.sizes, config.ppo.epochs) == ("slow", [4], 3)
     path.write_text("data: x\ntask: open_drawer\ntask=open_drawer: {sizes: [4]}\n")
     assert parse(Config, [f"config={path}"], recipe).sizes == [4]
+    path.write_text('data: x\n"sizes=[8, 16]": {task: open_drawer}\n')
+    given = [f"config={path}", "sizes=[8,16]"]
+    assert parse(Implying, given, recipe).task == "open_drawer"
+    path.write_text('data: x\n"sizes=[8": {task: open_drawer}\n')
+    (problem,) = problems(recipe, f"config={path}")
+    assert "a value before a group is no YAML" in problem
     path.write_text("data: x\ntask=open_drawr: {weight: 1}\n")
     (problem,) = problems(recipe, f"config={path}")
     assert "option task: 'open_drawr' is not one of" in problem

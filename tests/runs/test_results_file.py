@@ -41,6 +41,7 @@ def test_rows_come_back_as_they_are(tmp_path: Path) -> None:
         {"outcomes": [1]},
         {"outcomes": [1, 1, 0, 2]},
         {"outcomes": 3},
+        {"successes": 2, "outcomes": [1, 1, 0, 1]},
         {"task": []},
     ],
 )

@@ -20,6 +20,13 @@ from rlco.gap.logs.read import read_log
 TIME = np.arange(50) / 25.0
 
 
+def test_an_array_with_a_header_that_fills_a_memory(tmp_path: Path) -> None:
+    long = b"\x93NUMPY\x02\x00" + (1_300_000_000).to_bytes(4, "little") + 100 * b" "
+    file = npz(tmp_path / "a.npz", time=npy(TIME), q=long)
+    with pytest.raises(DataError, match="a header of 1300000000 bytes, of at most"):
+        read_npz(file, None)
+
+
 def npz(file: Path, **members: bytes) -> Path:
     with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, content in members.items():

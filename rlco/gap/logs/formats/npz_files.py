@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import tokenize
 from dataclasses import replace
@@ -91,6 +92,10 @@ def _with_facts(
     ]
 
 
+#: Bytes of an array's header, as many as numpy's own limit.
+_HEADER = 10_000
+
+
 def _arrays(path: Path) -> dict[str, NDArray[np.generic]]:
     """Return the arrays that may be columns, facts or names; no others are read."""
     advice = "save plain arrays with numpy.savez"
@@ -118,12 +123,21 @@ def _arrays(path: Path) -> dict[str, NDArray[np.generic]]:
 
 
 def _header(stream: IO[bytes]) -> tuple[tuple[int, ...], np.dtype[Any]]:
-    """Return what an array declares of itself."""
+    """Return what an array declares of itself.
+
+    Raises:
+        ValueError: It does so in more words than numpy reads, which numpy says once it
+            has taken the memory for them.
+    """
     version = _npy.read_magic(stream)
-    read = (
-        _npy.read_array_header_1_0 if version == (1, 0) else _npy.read_array_header_2_0
-    )
-    shape, _, dtype = read(stream)
+    first = version == (1, 0)
+    size = stream.read(2 if first else 4)
+    length = int.from_bytes(size, "little")
+    if length > _HEADER:
+        raise ValueError(f"a header of {length} bytes, of at most {_HEADER}")
+    header = io.BytesIO(size + stream.read(length))
+    read = _npy.read_array_header_1_0 if first else _npy.read_array_header_2_0
+    shape, _, dtype = read(header)
     return shape, dtype
 
 
