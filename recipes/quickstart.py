@@ -73,6 +73,7 @@ def stage_two(
         real_coeff=0.0 if method == "rl_only" else config.real_coeff,
         iterations=config.iterations,
         num_envs=config.num_envs,
+        horizon=config.horizon,
         advantage=config.advantage,
         eval_every=config.eval_every,
         eval_episodes=config.curve_episodes,

@@ -21,7 +21,8 @@ FROM_IMAGES: dict[str, Any] = {
     "image_fixed": True,
     "sim_demos": 200,
     "real_demos": 20,
-    "rl_lr": 3e-5,  # 2e-4, which suits poses, moves it too far at first
+    "rl_lr": 5e-5,  # 2e-4, which suits poses, moves it too far at first
+    "horizon": 120,  # as evaluations: what is lost there late has to be met in training
 }
 
 
@@ -58,6 +59,11 @@ class QuickstartOptions(TrainingDomainOptions, PretrainingOptions, PolicyOptions
     updates: int = option(1500, "optimiser steps of Stage I", minimum=1)
     iterations: int = option(40, "rollouts of Stage II", minimum=1)
     num_envs: int = option(32, "episodes per rollout", minimum=1)
+    horizon: int | None = option(
+        None,
+        "control steps of a training episode in Stage II, truncated; null: the task's",
+        minimum=1,
+    )
     real_coeff: float = option(0.2, "beta of Stage II", minimum=0)
     rl_lr: float = option(
         2e-4,
