@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import importlib.util
+import sysconfig
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
+from pathlib import Path
 
 from rlco.errors import RlcoError
 from rlco.files.reading import FOREIGN, reason
@@ -45,3 +48,29 @@ zero) in line ... of '...'; correct it.
             f"{what} raises {type(error).__name__} ({said}) in line {line} of "
             f"{file!r}; correct it."
         ) from error
+
+
+def source_of(text: str) -> Path | None:
+    """Return the file of the module that ``MODULE:NAME`` names; None for all else.
+
+    Python's own modules and installed ones have versions, and are None, too. Nothing is
+    imported but the packages that the module is in.
+
+    Example:
+        >>> source_of("json:dumps"), source_of("push_cube"), source_of("nowhere:TASK")
+        (None, None, None)
+    """
+    module, colon, name = text.partition(":")
+    if not colon or not name.isidentifier():
+        return None
+    if not all(part.isidentifier() for part in module.split(".")):
+        return None
+    try:
+        spec = importlib.util.find_spec(module)
+    except (ModuleNotFoundError, ValueError):  # none, or one without a file
+        return None
+    if spec is None or not spec.has_location or spec.origin is None:
+        return None
+    path = Path(spec.origin)
+    installed = (sysconfig.get_paths()[name] for name in ("stdlib", "purelib"))
+    return None if any(path.is_relative_to(place) for place in installed) else path

@@ -9,12 +9,15 @@ from typing import Any
 from rlco.errors import CheckpointError, RlcoError
 from rlco.files import Fields, shown
 from rlco.files.fingerprints import fingerprint
+from rlco.files.own_code import source_of
 from rlco.runs.config import to_plain
 from rlco.runs.metrics import MetricsFile
 from rlco.runs.options import options_of
 
 #: Where a run is, not what it does.
 _ELSEWHERE = ("out", "resume")
+#: What the modules are called, among the inputs, that options name as MODULE:NAME.
+_CODE = "MODULE:NAME"
 
 
 def options_by_name(config: object) -> dict[str, Any]:
@@ -44,7 +47,11 @@ def inputs_of(config: object) -> dict[str, dict[str, str]]:
         }
         if there:
             found[key] = there
-    return found
+    texts = [v for v in given.values() if isinstance(v, str)]
+    texts += [v for vs in given.values() if isinstance(vs, list) for v in vs]
+    code = {t: source_of(t) for t in texts if isinstance(t, str)}
+    sources = {text: fingerprint(path) for text, path in code.items() if path}
+    return found | ({_CODE: sources} if sources else {})
 
 
 def check_unchanged(path: Path, info: Fields, config: object) -> None:
@@ -77,12 +84,13 @@ def check_unchanged(path: Path, info: Fields, config: object) -> None:
         return
     present = inputs_of(config)
     for key, before in inputs.items():
-        if key not in entries or not isinstance(before, dict):
+        if (key not in entries and key != _CODE) or not isinstance(before, dict):
             continue
         # Paths may differ: a run and its data may have been moved together.
         if list(present.get(key, {}).values()) != list(before.values()):
+            named = f"{key}={shown(now[key])}" if key in now else "code of your own"
             raise RlcoError(
-                f"{key}={shown(now[key])} is not what run {str(path)!r} was started "
+                f"{named} is not what run {str(path)!r} was started "
                 f"with ({', '.join(map(shown, before))}): its content differs or is "
                 "missing; put it back, or start a new run."
             )

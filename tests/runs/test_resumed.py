@@ -134,6 +134,21 @@ def test_an_input_that_is_another_or_gone(out: Path, demos: Path) -> None:
         resume(out)
 
 
+def test_a_module_of_ones_own_that_was_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "my_domain.py").write_text("HARD = 1\n")
+    options = Options(out=str(tmp_path / "run"), domains=["sim", "my_domain:HARD"])
+    with Run(options, "demo") as run:
+        run.log_metrics(1, {"loss": 1.0})
+        run.save_checkpoint(1, {"weight": torch.ones(3)})
+    resume(tmp_path / "run")
+    (tmp_path / "my_domain.py").write_text("HARD = 2\n")
+    with pytest.raises(RlcoError, match=r"code of your own is not what run .*my_domain"):
+        resume(tmp_path / "run")
+
+
 def test_a_name_is_no_input_and_a_file_is(tmp_path: Path) -> None:
     file = tmp_path / "gap.yaml"
     file.write_text("effects: []\n")
