@@ -16,9 +16,12 @@ from typing import IO, Any
 
 from rlco.errors import CheckpointError
 from rlco.files.reading import reading
+from rlco.files.texts import read_json
 
 #: The entry of a header's metadata, and what stands there before it is known.
 KEY, UNKNOWN = "checksum", "0" * 64
+#: The file of the checksums of a folder.
+BESIDE = "rlco_checksums.json"
 _BLOCK = 2**20  # bytes; a file may be larger than the memory
 _MOST_HEADER = 100_000_000  # bytes, safetensors' own limit
 
@@ -63,6 +66,49 @@ def verify(path: Path) -> bool:
             "take one from before."
         )
     return True
+
+
+def seal_folder(folder: Path) -> None:
+    """Write the checksums of a folder's safetensors files beside them.
+
+    For a folder whose files another library writes, in whose headers there is no place.
+    """
+    digests = {
+        file.name: _of_file(file) for file in sorted(folder.glob("*.safetensors"))
+    }
+    (folder / BESIDE).write_text(json.dumps(digests, indent=1) + "\n", "utf-8")
+
+
+def verify_folder(folder: Path) -> bool:
+    """Check a folder's safetensors files against the checksums beside them.
+
+    Returns:
+        Whether there are any.
+
+    Raises:
+        CheckpointError: A file is not what was written, or is gone.
+    """
+    path = folder / BESIDE
+    if not path.is_file():
+        return False
+    advice = "copy the folder again, whole"
+    written = read_json(path, advice=advice, error=CheckpointError)
+    for name in written.content:
+        file = folder / Path(name).name
+        with reading(file, advice=advice, error=CheckpointError):
+            found = _of_file(file)
+        if found != written.text(name):
+            raise CheckpointError(
+                f"{str(file)!r} is damaged: its content does not match its checksum in "
+                f"{BESIDE}, so something changed it after it was written; {advice}, or "
+                f"take {BESIDE} away if the change was yours."
+            )
+    return True
+
+
+def _of_file(file: Path) -> str:
+    with file.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def content_checksum(content: Mapping[str, Any]) -> str:

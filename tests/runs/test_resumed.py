@@ -145,7 +145,9 @@ def test_a_module_of_ones_own_that_was_changed(
         run.save_checkpoint(1, {"weight": torch.ones(3)})
     resume(tmp_path / "run")
     (tmp_path / "my_domain.py").write_text("HARD = 2\n")
-    with pytest.raises(RlcoError, match=r"code of your own is not what run .*my_domain"):
+    with pytest.raises(
+        RlcoError, match=r"code of your own is not what run .*my_domain"
+    ):
         resume(tmp_path / "run")
 
 

@@ -334,6 +334,12 @@ def test_what_is_saved_lerobot_loads_and_acts_as_trained(
     noise = load_beside(saved, "noise")
     assert all(torch.equal(noise[k], v) for k, v in policy.noise.state_dict().items())
     assert load_beside(saved, "critic") is None
+    # Stock LeRobot reads on what rlco does not: a bit in the middle of a weight.
+    weights = bytearray((saved / "model.safetensors").read_bytes())
+    weights[len(weights) // 2] ^= 1
+    (saved / "model.safetensors").write_bytes(weights)
+    with pytest.raises(CheckpointError, match=r"model.safetensors' is damaged: its"):
+        load_lerobot(saved)
 
 
 def test_a_checkpoint_is_not_overwritten(tmp_path: Path) -> None:

@@ -22,6 +22,7 @@ from safetensors.torch import load_file
 from torch import nn
 
 from rlco.errors import CheckpointError
+from rlco.files.checksums import verify_folder
 from rlco.finite import check_loaded
 from rlco.policies.vla.foreign_code import no_foreign_code
 from rlco.policies.vla.lerobot.flow_model import FlowModel
@@ -98,6 +99,7 @@ def load_lerobot(
         config.device = device
     allowed = {allow_code} if isinstance(allow_code, str) else {*allow_code}
     check_steps(path, allowed)
+    verify_folder(path)
     training = _read_training(path, allowed)
     _check_actions(path, config, action_size)
     if tokenizer is not None and hasattr(config, "vlm_model_name"):

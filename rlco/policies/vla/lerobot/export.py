@@ -16,6 +16,7 @@ from lerobot.configs.train import TrainPipelineConfig
 from lerobot.optim.optimizers import AdamWConfig
 
 from rlco.errors import CheckpointError
+from rlco.files.checksums import seal_folder
 from rlco.finite import check_loaded, check_saved, named_tensors
 from rlco.policies.vla.lerobot.checkpoint import LeRobotCheckpoint
 from rlco.policies.vla.lora import has_lora, merged_state, without_lora
@@ -93,6 +94,7 @@ def save_lerobot(
         batch_size=config.batch_size,
         model_state_dict=state,
     )
+    seal_folder(partial / "pretrained_model")
     (partial / BESIDE).mkdir()
     for name, value in (beside or {}).items():
         save_state(partial / BESIDE / f"{name}.safetensors", value)
