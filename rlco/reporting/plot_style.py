@@ -136,8 +136,8 @@ def log_axis(axes: Axes, label: str) -> None:
     axes.set_ylabel(label)
 
 
-def legend(figure: Figure, axes: Iterable[Axes], *, below: bool = False) -> None:
-    """Put each label beside the title, once; or below it, where both are long."""
+def legend(figure: Figure, axes: Iterable[Axes], *, aside: bool = False) -> None:
+    """Put each label beside the title, or beside the panels, once."""
     named = {
         label: handle
         for each in axes
@@ -146,8 +146,8 @@ def legend(figure: Figure, axes: Iterable[Axes], *, below: bool = False) -> None
     figure.legend(
         named.values(),
         named.keys(),
-        loc="outside upper left" if below else "outside upper right",
-        ncols=min(5, len(named)),
+        loc="outside right upper" if aside else "outside upper right",
+        ncols=1 if aside else min(5, len(named)),
         frameon=False,
         fontsize=10,
         handlelength=1.4,

@@ -49,9 +49,11 @@ def success_over(entries: Sequence[Entry], variable: str) -> dict[str, Figure]:
         mine = [
             e for e, o in zip(entries, others, strict=True) if group_name(o) == name
         ]
+        values = list(dict.fromkeys(entry.values[variable] for entry in mine))
+        joined = all(isinstance(value, int | float) for value in values)
         found = {
             value: found_runs(e for e in mine if e.values[variable] == value)
-            for value in dict.fromkeys(entry.values[variable] for entry in mine)
+            for value in (sorted(values) if joined else values)
         }
         domains = list(
             dict.fromkeys(d for runs in found.values() for d in domains_of(runs))
@@ -61,7 +63,6 @@ def success_over(entries: Sequence[Entry], variable: str) -> dict[str, Figure]:
         title = f"Success over {variable}" + (f", {name}" if name else "")
         figure, panels = new_figure(title, len(domains), height=3.9)
         labels = list(dict.fromkeys(entry.label for entry in mine))
-        joined = all(isinstance(value, int | float) for value in found)
         for axes, domain in zip(panels, domains, strict=True):
             every = {
                 label: {
@@ -77,8 +78,7 @@ def success_over(entries: Sequence[Entry], variable: str) -> dict[str, Figure]:
             axes.set_xlabel(variable)
         for axes in panels[1:]:
             axes.set_ylabel("")
-        # Below the title, which is long.
-        legend(figure, panels, below=True)
+        legend(figure, panels, aside=True)
         seeds = len({entry.seed for entry in mine})
         caption(figure, f"Mean of {seeds} seeds; line: its 95 % t interval.")
         figures[name] = figure
