@@ -26,6 +26,8 @@ from rlco.runs.whole_files import write_json
 WEIGHTS = "policy.safetensors"
 DESCRIPTION = "policy.json"
 _FIELDS = ("kind", "arguments", "rlco", "extra")
+#: What building raises where arguments are of any type and size.
+_UNBUILT: tuple[type[Exception], ...] = (RlcoError, *FOREIGN)
 #: Numbers in a description that are no sizes of weights, such as draws, are below it.
 _MOST_OTHERS = 10**6
 
@@ -164,7 +166,7 @@ def _build(description: dict[str, Any], folder: Path) -> ChunkPolicy:
         policy: ChunkPolicy = make_policy(
             description["kind"], **description["arguments"]
         )
-    except (RlcoError, *FOREIGN) as error:  # of arguments that are of any type
+    except _UNBUILT as error:
         said = str(error) if isinstance(error, RlcoError) else reason(error)
         raise CheckpointError(
             f"{folder / DESCRIPTION} describes no policy that rlco "
