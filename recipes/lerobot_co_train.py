@@ -72,7 +72,7 @@ class Config(LearnersOptions, TrainingDomainOptions):
     stats: str | None = option(
         None,
         "LeRobot folder whose statistics normalise, for a checkpoint without its own",
-        input="file",
+        input="folder",
     )
     executed: int | None = option(
         None, "steps of a chunk that are executed; null: the checkpoint's", minimum=1

@@ -324,11 +324,11 @@ class Run:
         """Return the last checkpoint's state; None where a run starts afresh.
 
         Raises:
-            CheckpointError: It cannot be read, holds NaN or infinity, or metrics.csv
-                is not what it was when it was saved.
+            CheckpointError: It cannot be read, holds NaN or infinity or no state of
+                random numbers, or metrics.csv is not what it was when it was saved.
         """
         from rlco.finite import check_loaded, named_tensors
-        from rlco.runs.state_files import load_state
+        from rlco.runs.state_files import check_rng_state, load_state
 
         if self.step is None:
             return None
@@ -337,6 +337,7 @@ class Run:
         check_checkpoint(path, saved, self._tables.metrics)
         advice = "take the file away to resume from the one before, if there is one"
         check_loaded(str(path), named_tensors(saved["state"]), advice=advice)
+        check_rng_state(path, saved["rng"])
         self._rng = saved["rng"]
         return saved["state"]
 

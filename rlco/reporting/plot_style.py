@@ -10,6 +10,7 @@ from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import (
     FuncFormatter,
     LogLocator,
@@ -163,9 +164,19 @@ def caption(figure: Figure, text: str) -> None:
     )
 
 
+def without_formulas(figure: Figure) -> None:
+    """Draw every text as it stands: names with dollar signs are no formulas.
+
+    Call it last. What matplotlib cannot read as a formula ends in an error otherwise.
+    """
+    for text in figure.findobj(Text):
+        text.set_parse_math(False)
+
+
 def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, 1440 px wide, with its title and caption inside."""
     path.parent.mkdir(parents=True, exist_ok=True)
+    without_formulas(figure)
     title = figure.get_suptitle()
     about = {
         "Title": title,

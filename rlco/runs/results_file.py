@@ -18,7 +18,21 @@ def read_results(path: Path, *, of_recipe: bool = False) -> list[dict[str, Any]]
     Raises:
         DataError: It is missing or damaged, or a row is no count of successes.
     """
-    rows = read_json(path, advice="let the recipe write it again").groups("rows")
+    fields = read_json(path, advice="let the recipe write it again")
+    return result_rows(fields, of_recipe=of_recipe)
+
+
+def result_rows(fields: Fields, *, of_recipe: bool = False) -> list[dict[str, Any]]:
+    """Return the rows of what holds results among other things, under ``rows``.
+
+    Args:
+        fields: What holds them.
+        of_recipe: As in `read_results`.
+
+    Raises:
+        RlcoError: Of the fields' class, if a row is no count of successes.
+    """
+    rows = fields.groups("rows")
     for row in rows:
         _check(row)
         if of_recipe:

@@ -30,6 +30,8 @@ from rlco.runs.whole_files import put_in_place
 _FORMAT = "rlco-state-1"
 _TAGS = ("dict", "list", "tuple", "tensor", "array", "scalar")
 _METADATA = {"format", "structure", KEY}
+#: A GPU's random state: seed and offset, 8 bytes each.
+_CUDA_STATE = (16,)
 
 
 def save_state(path: str | Path, state: Any) -> None:
@@ -129,6 +131,37 @@ def set_rng_state(state: Mapping[str, Any]) -> None:
     np.random.set_state(state["numpy"])
     torch.set_rng_state(state["torch"])
     torch.cuda.set_rng_state_all(state["cuda"][: torch.cuda.device_count()])
+
+
+def check_rng_state(path: str | Path, state: Any) -> None:
+    """Check that :func:`set_rng_state` can take a state; no random number changes.
+
+    Args:
+        path: The checkpoint that holds it, for messages.
+        state: What stands where :func:`rng_state` returned it.
+
+    Raises:
+        CheckpointError: It is no state of random numbers.
+    """
+    with reading(
+        path,
+        what="random state of checkpoint",
+        advice="take the file away to resume from the one before, if there is one",
+        error=CheckpointError,
+    ):
+        random.Random().setstate(state["python"])
+        numpy_state = np.random.RandomState()
+        numpy_state.set_state(state["numpy"])
+        position = numpy_state.get_state(legacy=False)["state"]["pos"]
+        if not 0 <= position <= len(state["numpy"]["state"]["key"]):
+            # NumPy takes it, and reads beyond its table then.
+            raise ValueError(f"position {position} of NumPy's random numbers")
+        torch.Generator().set_state(state["torch"])
+        if not isinstance(state["cuda"], list):
+            raise TypeError(f"a {type(state['cuda']).__name__} as the GPUs' states")
+        for one in state["cuda"]:
+            if one.dtype != torch.uint8 or one.shape != _CUDA_STATE:
+                raise ValueError(f"{one.dtype} {tuple(one.shape)} as a GPU's state")
 
 
 def seed_everything(seed: int) -> None:

@@ -187,7 +187,7 @@ def _remove_empty(folders: list[Path]) -> None:
 def remove_parts(path: Path) -> None:
     """Remove what a killed process left half written."""
     for part in [*path.rglob(".*.part")]:
-        if part.is_dir():
+        if part.is_dir() and not part.is_symlink():
             shutil.rmtree(part)
         else:
             part.unlink(missing_ok=True)

@@ -23,6 +23,7 @@ from rlco.physics.spec.names import ACTION_NAMES, STATE_NAMES
 from rlco.policies.tiny.smolvla import write_tiny_smolvla
 from rlco.policies.vla.lerobot.inputs import dataset_stats
 from rlco.policies.vla.prefix_critic import PrefixCritic
+from rlco.runs.resumed import inputs_of
 
 pytestmark = pytest.mark.slow
 
@@ -39,6 +40,12 @@ def configured(tiny: Path, **options: Any) -> Any:
     """Return the recipe and its options."""
     recipe: Any = importlib.import_module(RECIPE)
     return recipe, recipe.Config(policy=str(tiny), real_coeff=0.0, **options)
+
+
+def test_the_folder_of_statistics_is_an_input(tmp_path: Path) -> None:
+    (tmp_path / "stats.json").write_text("{}")
+    _, config = configured(tmp_path, stats=str(tmp_path))
+    assert {"policy", "stats"} <= inputs_of(config).keys()
 
 
 def made(recipe: Any, config: Any, policy: Any) -> Any:

@@ -219,3 +219,12 @@ def test_a_scene_is_shown_by_camera_and_domain_side_by_side(tmp_path: Path) -> N
     assert "8 x 8 pixels" in about["Description"]
     assert "stand_in (a second simulator, not a robot)" in about["Description"]
     assert "stand_in, is a second simulator, not a robot" in about["Comment"]
+
+
+@pytest.mark.parametrize("name", [r"a$\frac$", "$x$", "cost in $"])
+def test_names_are_no_formulas(tmp_path: Path, name: str) -> None:
+    rows = [row("sft", name, 5), row(name, name, 5), row(name, "sim", 5)]
+    curve = Curve(name, name, [0, 100], [[0.2, 0.5]], episodes=50)
+    for figure in (success_bars(rows), learning_curves([curve])):
+        save_figure(figure, tmp_path / "figure.png")
+        assert name in texts(figure).replace("\n", " ")

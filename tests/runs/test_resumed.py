@@ -6,10 +6,12 @@ import json
 import os
 import resource
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 import torch
 
@@ -17,6 +19,7 @@ from rlco.errors import CheckpointError, ConfigError, RlcoError
 from rlco.run import Run, run_recipe
 from rlco.runs import run_folder
 from rlco.runs.config import RunOptions, option, parse
+from rlco.runs.state_files import load_state, save_state
 
 
 @dataclass
@@ -172,6 +175,51 @@ def test_a_folder_with_the_name_of_a_domain_is_no_input(
     (tmp_path / "sim" / "more").write_text("")
     with Run(Options(resume="run"), "demo"):
         pass
+
+
+def with_random_state(out: Path, change: Callable[[dict[str, Any]], object]) -> None:
+    """Change the last checkpoint's random state; its checksum is of what is there."""
+    path = out / "checkpoints" / "step_0000002.safetensors"
+    saved = load_state(path)
+    change(saved["rng"])
+    save_state(path, saved)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda rng: rng.clear(),
+        lambda rng: rng.update(python=(3, (1, 2), None)),
+        lambda rng: rng.update(numpy=[]),
+        lambda rng: rng["numpy"]["state"].update(pos=10**6),
+        lambda rng: rng["numpy"]["state"].update(key=np.zeros(5, np.uint32)),
+        lambda rng: rng.update(torch=torch.zeros(3, dtype=torch.uint8)),
+        lambda rng: rng.update(torch=None),
+        lambda rng: rng.update(cuda=5),
+        lambda rng: rng.update(cuda={}),
+        lambda rng: rng.update(cuda=[torch.zeros(3, dtype=torch.uint8)]),
+        lambda rng: rng.update(cuda=[5]),
+    ],
+)
+def test_a_random_state_that_is_none(
+    out: Path, change: Callable[[dict[str, Any]], object]
+) -> None:
+    with_random_state(out, change)
+    with pytest.raises(CheckpointError, match=r"random state of checkpoint .*step_"):
+        resume(out)
+
+
+def test_a_random_state_of_gpus_is_resumed_without_them(out: Path) -> None:
+    gpu = torch.zeros(16, dtype=torch.uint8)
+    with_random_state(out, lambda rng: rng.update(cuda=[gpu, gpu]))
+    resume(out)
+
+
+def test_a_link_with_the_name_of_what_is_half_written(out: Path) -> None:
+    (out / ".a.part").symlink_to("checkpoints")
+    resume(out)
+    assert not (out / ".a.part").is_symlink()
+    assert (out / "checkpoints" / "step_0000002.safetensors").is_file()
 
 
 def test_runs_from_before_are_resumed(out: Path, demos: Path) -> None:

@@ -9,7 +9,6 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.text import Text
 from matplotlib.ticker import MaxNLocator
 
 from rlco.gap.compare.wording import number, scale_of
@@ -24,6 +23,7 @@ from rlco.reporting.plot_style import (
     caption,
     legend,
     new_figure,
+    without_formulas,
 )
 
 _FEW = 9  # channels: so many leave room for numbers and names
@@ -189,8 +189,7 @@ def trace_figure(stretch: Stretch, heading: str, nominal: str = AS_IS) -> Figure
 def png(figure: Figure) -> bytes:
     """Return a figure as PNG, 1150 px wide."""
     buffer = io.BytesIO()
-    for text in figure.findobj(Text):
-        text.set_parse_math(False)  # names of joints are no formulas
+    without_formulas(figure)
     figure.savefig(buffer, format="png", dpi=1150 / WIDTH, facecolor="white")
     return buffer.getvalue()
 

@@ -13,8 +13,9 @@ from safetensors.torch import load_file
 from torch import nn
 
 from rlco.errors import CheckpointError, RlcoError
-from rlco.files import read_json, reading
+from rlco.files import read_json, reading, shown
 from rlco.files.checksums import KEY, content_checksum, verify
+from rlco.files.reading import FOREIGN, reason
 from rlco.finite import check_loaded, check_saved
 from rlco.policies.small.chunk_policy import ChunkPolicy
 from rlco.policies.small.observation_check import check_observations
@@ -25,6 +26,10 @@ from rlco.runs.whole_files import write_json
 WEIGHTS = "policy.safetensors"
 DESCRIPTION = "policy.json"
 _FIELDS = ("kind", "arguments", "rlco", "extra")
+#: What building raises where arguments are of any type and size.
+_UNBUILT: tuple[type[Exception], ...] = (RlcoError, *FOREIGN)
+#: Numbers in a description that are no sizes of weights, such as draws, are below it.
+_MOST_OTHERS = 10**6
 
 
 def save_policy(
@@ -103,15 +108,14 @@ def load_unchecked(
     """
     path = Path(folder)
     description = _read_description(path / DESCRIPTION)
-    try:
-        policy = make_policy(description["kind"], **description["arguments"])
-    except (RlcoError, TypeError) as error:
-        raise CheckpointError(
-            f"{path / DESCRIPTION} describes no policy that rlco "
-            f"{importlib.metadata.version('rlco')} can build (it was written by rlco "
-            f"{description['rlco']}): {error}"
-        ) from error
-    load_weights(policy, folder)
+    weights = _read_weights(path / WEIGHTS)
+    _check_sizes(description["arguments"], weights, path)
+    # Without memory first: a description of a few bytes may ask for any of it.
+    with torch.device("meta"):
+        outline = _build(description, path)
+    _check_architecture(outline, weights, path / WEIGHTS)
+    policy = _build(description, path)
+    _fill(policy, weights, path / WEIGHTS)
     extra: dict[str, Any] = description["extra"]
     return policy, extra
 
@@ -125,6 +129,10 @@ def load_weights(policy: nn.Module, folder: str | os.PathLike[str]) -> None:
             policy is then as it was.
     """
     path = Path(folder) / WEIGHTS
+    _fill(policy, _read_weights(path), path)
+
+
+def _read_weights(path: Path) -> dict[str, torch.Tensor]:
     advice = f"give the folder of a saved policy, with {WEIGHTS} and {DESCRIPTION}"
     with reading(
         path,
@@ -135,8 +143,49 @@ def load_weights(policy: nn.Module, folder: str | os.PathLike[str]) -> None:
     ):
         found = load_file(path)
     verify(path)
-    expected = policy.state_dict()
-    differences = _differences(expected, found)
+    return found
+
+
+def _check_sizes(
+    arguments: dict[str, Any], weights: dict[str, torch.Tensor], folder: Path
+) -> None:
+    """Refuse sizes beyond the weights, of which even an outline would be too large."""
+    count = max(_MOST_OTHERS, sum(value.numel() for value in weights.values()))
+    for name, value in arguments.items():
+        most = len(weights) if name == "layers" else count
+        if isinstance(value, int) and value > most:
+            raise CheckpointError(
+                f"{name!r} of {str(folder / DESCRIPTION)!r} is {shown(value)}, and "
+                f"{WEIGHTS} beside it has weights for at most {most}; copy the folder "
+                "again, both files."
+            )
+
+
+def _build(description: dict[str, Any], folder: Path) -> ChunkPolicy:
+    try:
+        policy: ChunkPolicy = make_policy(
+            description["kind"], **description["arguments"]
+        )
+    except _UNBUILT as error:
+        said = str(error) if isinstance(error, RlcoError) else reason(error)
+        raise CheckpointError(
+            f"{folder / DESCRIPTION} describes no policy that rlco "
+            f"{importlib.metadata.version('rlco')} can build (it was written by rlco "
+            f"{description['rlco']}): {said}"
+        ) from error
+    return policy
+
+
+def _fill(policy: nn.Module, weights: dict[str, torch.Tensor], path: Path) -> None:
+    _check_architecture(policy, weights, path)
+    check_loaded(str(path), weights.items())
+    policy.load_state_dict(weights)
+
+
+def _check_architecture(
+    policy: nn.Module, weights: dict[str, torch.Tensor], path: Path
+) -> None:
+    differences = _differences(policy.state_dict(), weights)
     if differences:
         more = f" (and {len(differences) - 3} more)" if len(differences) > 3 else ""
         raise CheckpointError(
@@ -144,8 +193,6 @@ def load_weights(policy: nn.Module, folder: str | os.PathLike[str]) -> None:
             f"{'; '.join(differences[:3])}{more}; load it with the options that it was "
             "trained with."
         )
-    check_loaded(str(path), found.items())
-    policy.load_state_dict(found)
 
 
 def _read_description(path: Path) -> dict[str, Any]:

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
 
 from rlco.errors import DataError, RlcoError
-from rlco.files import read_json, reading
+from rlco.files import Fields, read_json, shown
 from rlco.runs.compare.jobs import Job
 from rlco.runs.metrics import read_metrics
-from rlco.runs.results_file import read_results
+from rlco.runs.results_file import read_results, result_rows
 from rlco.runs.whole_files import write_text
 
 #: Columns of metrics.csv that begin with this only an evaluation fills, but for one.
@@ -82,9 +82,50 @@ def read_cell(path: Path) -> Cell:
     Raises:
         DataError: It is no cell.
     """
-    content = read_json(path, advice="take it away").content
-    with reading(path, what="cell", advice="take it away"):
-        return Cell(**content)
+    found = read_json(path, advice="take it away")
+    unknown = found.content.keys() - {each.name for each in fields(Cell)}
+    if unknown:
+        raise DataError(
+            f"{found.place} is no cell: it holds {shown(sorted(unknown)[0])} too; take "
+            "it away."
+        )
+    return Cell(
+        name=found.text("name"),
+        key=found.text("key"),
+        identity=found.text("identity"),
+        code=found.text("code"),
+        script=found.text("script"),
+        options=_texts(found, "options"),
+        rows=result_rows(found),
+        curves=_curves(found),
+        cpu_seconds=found.number("cpu_seconds", 0.0),
+        attempts=found.integer("attempts", 1),
+        processor=found.text("processor", ""),
+        commit=found.text("commit", None),
+        versions=_texts(found, "versions"),
+        finished=found.text("finished", ""),
+    )
+
+
+def _texts(found: Fields, key: str) -> dict[str, str]:
+    group = found.group(key)
+    return {name: group.text(name) for name in group.content}
+
+
+def _curves(found: Fields) -> dict[str, list[dict[str, float]]]:
+    tables = found.group("curves")
+    return {
+        table: [_numbers(row) for row in tables.groups(table)]
+        for table in tables.content
+    }
+
+
+def _numbers(row: Fields) -> dict[str, float]:
+    for name, value in row.content.items():
+        # NaN too: a table has what was measured, also where that is no number.
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise row.refuse(name, "a number")
+    return dict(row.content)
 
 
 def results(run: Path) -> list[dict[str, Any]]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import logging
 import shutil
 import signal
@@ -14,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from rlco.errors import DataError
+from rlco.files import read_json
 from rlco.runs import run_folder
 from rlco.runs.compare.cells import Cell, Store, curves, results
 from rlco.runs.compare.jobs import Job
@@ -180,14 +180,17 @@ def _where(part: Path) -> str:
 
 
 def attempts_of(folder: Path) -> list[dict[str, Any]]:
-    """Return how a job's processes ended so far, in their order."""
+    """Return how a job's processes ended so far, in their order.
+
+    They are lost where the file is damaged, and the job is run as if it never was.
+    """
     try:
-        found: list[dict[str, Any]] = json.loads(
-            (folder / "attempts.json").read_text("utf-8")
-        )["attempts"]
-    except (OSError, ValueError, KeyError):
+        found = read_json(folder / "attempts.json").groups("attempts")
+        for one in found:
+            one.number("cpu_seconds")
+    except DataError:
         return []
-    return found
+    return [dict(one.content) for one in found]
 
 
 def failed_before(jobs: Iterable[Job], store: Store) -> set[Job]:

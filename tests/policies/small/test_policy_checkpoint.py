@@ -20,6 +20,7 @@ from rlco.policies import (
     make_policy,
     save_policy,
 )
+from rlco.policies.small import checkpoint
 
 EXTRA = {"task": "push_cube", "instructions": ["push red"], "state_names": ["x", "y"]}
 
@@ -100,6 +101,16 @@ def test_a_missing_or_truncated_file_is_named(saved: Path, name: str) -> None:
         ({"kind": "gausian"}, "did you mean 'gaussian'"),
         ({"arguments": {"state_size": 2, "chunk": 3, "size": 1}}, "size"),
         ({"arguments": [2, 3]}, "not names with values"),
+        ({"arguments": {"state_size": 2, "chunk": 3, "image": {"a": 1}}}, "'size'"),
+        ({"arguments": {"state_size": 2, "chunk": "3"}}, "can build"),
+        ({"arguments": {"state_size": 2, "chunk": 10**12}}, "weights for at most"),
+        (
+            {
+                "kind": "token",
+                "arguments": {"state_size": 2, "chunk": 3, "layers": 10**6},
+            },
+            "'layers' of .* weights for at most",
+        ),
     ],
 )
 def test_a_description_that_cannot_be_built_is_refused(
@@ -111,6 +122,34 @@ def test_a_description_that_cannot_be_built_is_refused(
     path.write_text(json.dumps(content))
     with pytest.raises(CheckpointError, match=message):
         load_policy(saved)
+
+
+def test_what_the_weights_are_not_of_takes_no_memory(
+    saved: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    built = []
+
+    def build(kind: str, **arguments: Any) -> Any:
+        policy = make_policy(kind, **arguments)
+        built.append({parameter.device.type for parameter in policy.parameters()})
+        return policy
+
+    monkeypatch.setattr(checkpoint, "make_policy", build)
+    state = torch.get_rng_state()
+    load_policy(saved)
+    drawn = torch.get_rng_state()
+    torch.set_rng_state(state)
+    make(learn_std=True)
+    assert torch.equal(torch.get_rng_state(), drawn)  # as many as one policy draws
+    assert built == [{"meta"}, {"cpu"}]
+    path = saved / "policy.json"
+    content = json.loads(path.read_text())
+    del content["checksum"]
+    content["arguments"]["hidden"] = [10**6, 10**6]  # 4 TB
+    path.write_text(json.dumps(content))
+    with pytest.raises(CheckpointError, match="another architecture"):
+        load_policy(saved)
+    assert built[2:] == [{"meta"}]
 
 
 def test_a_description_without_its_fields_is_refused(saved: Path) -> None:

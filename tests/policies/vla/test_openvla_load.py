@@ -15,7 +15,12 @@ from vla_cases import folder, rows
 
 from rlco.errors import CheckpointError, NonFiniteError, UnknownNameError
 from rlco.policies.vla.lora import add_lora
-from rlco.policies.vla.openvla.config import VISION, OpenVLAConfig, read_config
+from rlco.policies.vla.openvla.config import (
+    VISION,
+    OpenVLAConfig,
+    action_range,
+    read_config,
+)
 from rlco.policies.vla.openvla.load import load_openvla, save_openvla
 from rlco.policies.vla.openvla.model import OpenVLA
 from rlco.policies.vla.openvla.weight_names import is_unused, to_native, vision_table
@@ -223,6 +228,17 @@ def test_a_load_that_leaves_a_weight_unset_fails(
     [
         ("model_type", "llava", CheckpointError, "'llava', not 'openvla'"),
         ("image_sizes", [28, 14], CheckpointError, r"sizes \[28, 14\]"),
+        ("image_sizes", 28, CheckpointError, "'image_sizes' of file .* is 28"),
+        ("image_sizes", [[28], [28]], CheckpointError, "not a list of whole numbers"),
+        ("model_type", ["openvla"], CheckpointError, "not 'openvla'"),
+        ("rlco_vision", 5, CheckpointError, "'rlco_vision' of file .* is 5"),
+        ("rlco_vision", [{}, {}], CheckpointError, "lacks 'hidden_size'"),
+        ("rlco_vision", [1, 2], CheckpointError, "entry 1 of 'rlco_vision'"),
+        ("text_config", [], CheckpointError, "'text_config' of file .* is"),
+        ("text_config", {}, CheckpointError, "'text_config' .* lacks 'vocab_size'"),
+        ("pad_token_id", "0", CheckpointError, "'pad_token_id' .* not a whole number"),
+        ("n_action_bins", None, CheckpointError, "'n_action_bins' .* is None"),
+        ("norm_stats", [1], CheckpointError, "'norm_stats' .* not names with values"),
     ],
 )
 def test_another_model_is_refused(
@@ -232,6 +248,39 @@ def test_another_model_is_refused(
     file.write_text(json.dumps(json.loads(file.read_text()) | {key: value}))
     with pytest.raises(error, match=message):
         read_config(copied)
+
+
+@pytest.mark.parametrize("text", ["[]", "5", "[" * 100_000, "{", "\xff"])
+def test_a_configuration_that_is_none_is_refused(tmp_path: Path, text: str) -> None:
+    (tmp_path / "config.json").write_bytes(text.encode("latin-1"))
+    with pytest.raises(CheckpointError, match=r"config\.json"):
+        read_config(tmp_path)
+
+
+@pytest.mark.parametrize("ids", [None, 5, [["vit"], ["vit"]]])
+def test_image_encoders_that_are_no_names(copied: Path, ids: object) -> None:
+    file = copied / "config.json"
+    raw = json.loads(file.read_text()) | {"rlco_vision": None, "timm_model_ids": ids}
+    file.write_text(json.dumps(raw))
+    with pytest.raises(CheckpointError, match="'timm_model_ids' of file"):
+        read_config(copied)
+
+
+@pytest.mark.parametrize(
+    "stats",
+    [
+        5,
+        {},
+        {"action": {"q01": [0.0]}},
+        {"action": {"q01": ["a"], "q99": [1.0]}},
+        {"action": {"q01": 0.0, "q99": [1.0]}},
+        {"action": {"q01": [0.0], "q99": [1.0], "mask": [True, True]}},
+        {"action": {"q01": [0.0], "q99": [1.0], "mask": True}},
+    ],
+)
+def test_statistics_that_are_none_are_refused(stats: object) -> None:
+    with pytest.raises(CheckpointError, match="statistics of 'push'"):
+        action_range({"push": stats}, None, action_size=1)
 
 
 def test_other_image_encoders_are_named(copied: Path) -> None:

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from rlco.errors import CheckpointError, UnknownNameError
+from rlco.files import Fields, read_json, shown
+from rlco.files.fields import is_number
 
 #: The image encoders of openvla-7b under their names in timm: the sizes there, in the
 #: words of transformers. One block less than published: its output is not used.
@@ -76,42 +75,62 @@ def read_config(folder: Path) -> OpenVLAConfig:
     """Read ``config.json`` of a checkpoint folder.
 
     Raises:
-        CheckpointError: it is missing, of another model, or of other image encoders.
+        CheckpointError: it is missing or damaged, of another model, or of other image
+            encoders, or an entry is not of the type that OpenVLA's is.
+        UnknownNameError: of an image encoder that rlco does not know.
     """
     path = folder / "config.json"
-    try:
-        raw = json.loads(path.read_text("utf-8"))
-    except (OSError, ValueError) as error:
+    raw = read_json(
+        path,
+        advice="give a folder that holds OpenVLA's config.json and its safetensors "
+        "files",
+        error=CheckpointError,
+    )
+    kind = raw.content.get("model_type")
+    if kind != "openvla":
         raise CheckpointError(
-            f"cannot read {str(path)!r} ({error}); give a folder that holds OpenVLA's "
-            "config.json and its safetensors files."
-        ) from error
-    if raw.get("model_type") != "openvla":
-        raise CheckpointError(
-            f"{str(path)!r} is of the type {raw.get('model_type')!r}, not 'openvla'; "
+            f"{str(path)!r} is of the type {shown(kind)}, not 'openvla'; "
             "LeRobot's policies are loaded by load_lerobot."
         )
-    sizes = raw.get("rlco_vision") or [_vision(name) for name in raw["timm_model_ids"]]
-    if len(sizes) != 2 or len(set(raw["image_sizes"])) != 1:
+    sizes = _vision_sizes(raw)
+    image_sizes = raw.sequence("image_sizes")
+    if not image_sizes or not all(isinstance(size, int) for size in image_sizes):
+        raise raw.refuse("image_sizes", "a list of whole numbers")
+    if len(sizes) != 2 or len(set(image_sizes)) != 1:
         raise CheckpointError(
             f"{str(path)!r} has {len(sizes)} image encoders for sizes "
-            f"{raw['image_sizes']}; rlco knows OpenVLA's pair, DINOv2 and SigLIP, on "
+            f"{shown(image_sizes)}; rlco knows OpenVLA's pair, DINOv2 and SigLIP, on "
             "images of one size."
         )
+    text = raw.group("text_config")
     return OpenVLAConfig(
         dinov2=sizes[0],
         siglip=sizes[1],
-        image_size=raw["image_sizes"][0],
-        text=raw["text_config"],
-        vocabulary=raw["text_config"]["vocab_size"] - raw["pad_to_multiple_of"],
-        bins=raw["n_action_bins"],
-        norm_stats=raw.get("norm_stats") or {},
-        empty_token=raw.get("rlco_empty_token", 29871),
-        pad_token=raw["pad_token_id"],
+        image_size=image_sizes[0],
+        text=raw.mapping("text_config"),
+        vocabulary=text.integer("vocab_size", minimum=1)
+        - raw.integer("pad_to_multiple_of", minimum=0),
+        bins=raw.integer("n_action_bins", minimum=1),
+        norm_stats=raw.mapping("norm_stats", {}),
+        empty_token=raw.integer("rlco_empty_token", 29871, minimum=0),
+        pad_token=raw.integer("pad_token_id", minimum=0),
     )
 
 
-def _vision(name: str) -> dict[str, Any]:
+def _vision_sizes(raw: Fields) -> list[dict[str, Any]]:
+    """Return the image encoders' sizes, in transformers' words."""
+    if not raw.sequence("rlco_vision", []):
+        return [_vision(name, raw) for name in raw.sequence("timm_model_ids")]
+    found = raw.groups("rlco_vision")
+    for one in found:
+        one.integer("hidden_size", minimum=1)
+        one.integer("patch_size", minimum=1)
+    return [dict(one.content) for one in found]
+
+
+def _vision(name: object, raw: Fields) -> dict[str, Any]:
+    if not isinstance(name, str):
+        raise raw.refuse("timm_model_ids", "a list of names")
     if name not in VISION:
         raise UnknownNameError("image encoder", name, list(VISION))
     return VISION[name]
@@ -143,7 +162,8 @@ def action_range(
         action_size: A, action dimensions of the robot.
 
     Raises:
-        CheckpointError: there are none of that name, or of another action size.
+        CheckpointError: there are none of that name, or of another action size, or
+            they are no numbers.
 
     Example:
         >>> stats = {"push": {"action": {"q01": [-1.0, 0.0], "q99": [1.0, 1.0]}}}
@@ -159,13 +179,27 @@ def action_range(
             f"with (it has: {known}); name one of them by unnorm_key=, or give "
             "action_quantiles= of your own data."
         )
-    stats = norm_stats[name]["action"]
-    low, high = np.asarray(stats["q01"], float), np.asarray(stats["q99"], float)
-    if low.shape != (action_size,) or high.shape != (action_size,):
+    stats = Fields(
+        norm_stats[name],
+        f"the checkpoint's statistics of {name!r}",
+        CheckpointError,
+        "correct its config.json, or copy the folder again",
+    ).group("action")
+    low, high = _quantile(stats, "q01"), _quantile(stats, "q99")
+    if len(low) != action_size or len(high) != action_size:
         raise CheckpointError(
-            f"the checkpoint's statistics of {name!r} are of {low.size} action "
+            f"the checkpoint's statistics of {name!r} are of {len(low)} action "
             f"dimensions, those of the robot or task are {action_size}; give another "
             "unnorm_key=, or a checkpoint that was trained on this robot."
         )
-    mask = stats.get("mask", [True] * action_size)
-    return ActionRange(tuple(low.tolist()), tuple(high.tolist()), tuple(mask))
+    mask = stats.sequence("mask", [True] * action_size)
+    if len(mask) != action_size or not all(isinstance(one, bool) for one in mask):
+        raise stats.refuse("mask", f"a list of true and false, {action_size} of them")
+    return ActionRange(low, high, tuple(mask))
+
+
+def _quantile(stats: Fields, key: str) -> tuple[float, ...]:
+    found = stats.sequence(key)
+    if not all(is_number(one) for one in found):
+        raise stats.refuse(key, "a list of numbers")
+    return tuple(float(one) for one in found)
