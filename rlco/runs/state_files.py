@@ -23,7 +23,7 @@ from safetensors.torch import save_file
 from torch import Tensor, nn
 
 from rlco.errors import CheckpointError
-from rlco.files import reading
+from rlco.files import reading, shown
 from rlco.files.checksums import KEY, UNKNOWN, seal, verify
 from rlco.runs.whole_files import put_in_place
 
@@ -158,7 +158,7 @@ def check_rng_state(path: str | Path, state: Any) -> None:
             raise ValueError(f"position {position} of NumPy's random numbers")
         torch.Generator().set_state(state["torch"])
         if not isinstance(state["cuda"], list):
-            raise TypeError(f"a {type(state['cuda']).__name__} as the GPUs' states")
+            raise TypeError(f"{shown(state['cuda'])} as the GPUs' states")
         for one in state["cuda"]:
             if one.dtype != torch.uint8 or one.shape != _CUDA_STATE:
                 raise ValueError(f"{one.dtype} {tuple(one.shape)} as a GPU's state")

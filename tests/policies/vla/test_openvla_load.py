@@ -257,6 +257,21 @@ def test_a_configuration_that_is_none_is_refused(tmp_path: Path, text: str) -> N
         read_config(tmp_path)
 
 
+@pytest.mark.parametrize(
+    "change",
+    [{"hidden_size": "x"}, {"num_attention_heads": 0}, {"hidden_act": "none"}],
+)
+def test_sizes_that_make_no_model_are_refused(
+    copied: Path, change: dict[str, object]
+) -> None:
+    file = copied / "config.json"
+    raw = json.loads(file.read_text())
+    raw["text_config"] |= change
+    file.write_text(json.dumps(raw))
+    with pytest.raises(CheckpointError, match="make no model that rlco can build"):
+        load_openvla(copied)
+
+
 @pytest.mark.parametrize("ids", [None, 5, [["vit"], ["vit"]]])
 def test_image_encoders_that_are_no_names(copied: Path, ids: object) -> None:
     file = copied / "config.json"

@@ -10,12 +10,14 @@ from pathlib import Path
 from typing import Any
 
 import torch
+from huggingface_hub.errors import StrictDataclassError
 from safetensors import SafetensorError, safe_open
 from transformers import initialization
 
 from rlco.errors import CheckpointError
 from rlco.files import reading
 from rlco.files.checksums import verify
+from rlco.files.reading import reason
 from rlco.finite import check_loaded, check_saved
 from rlco.policies.vla.foreign_code import no_foreign_code
 from rlco.policies.vla.lora import merged_state
@@ -32,6 +34,11 @@ from rlco.runs.state_files import save_tensors
 _LANGUAGE = "language_model."
 #: What OpenVLA's fine-tuning with regression leaves beside the weights.
 _L1_HEAD = "action_head--*"
+#: What transformers raises over sizes that are none. A full memory is no fault of them.
+_UNBUILT = (
+    *(ArithmeticError, AttributeError, ImportError, LookupError, TypeError, ValueError),
+    StrictDataclassError,
+)
 _ADVICE = "give an earlier one, or copy it again"
 _WEIGHTS = (".safetensors", ".bin", ".index.json")
 
@@ -68,10 +75,10 @@ def load_openvla(
         # Every weight is about to be overwritten, or reported.
         with initialization.no_init_weights(), torch.device(device):
             model = OpenVLA(config)
-    except (ValueError, ImportError) as error:
+    except _UNBUILT as error:
         raise CheckpointError(
             f"the sizes in {str(path / 'config.json')!r} make no model that rlco can "
-            f"build ({error}); give a folder that has OpenVLA's own."
+            f"build ({reason(error)}); give a folder that has OpenVLA's own."
         ) from error
     finally:
         torch.set_default_dtype(kept)
