@@ -21,7 +21,9 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from rlco.physics.mj.compiling import announce
+from rlco.physics.mj.stale_kernels import forget_stale_kernels
 
+forget_stale_kernels()
 announce()
 _LIBRARY = next(Path(mujoco.__file__).parent.glob("libmujoco*"))
 llvmlite.binding.load_library_permanently(str(_LIBRARY))
