@@ -16,9 +16,10 @@ from rlco.files import reading
 from rlco.files.sizes import check_declared
 from rlco.lerobot_files.parquet_footer import leaves
 
-# Rows of texts or images read at a time: one of them, repeated, takes no place in a
-# file, and what a file declares does not say so.
-_AT_ONCE = 128
+# Texts and images are read in parts of a few rows: one of them, repeated, takes no
+# place in a file, and what a file declares does not say so. A part may have so many
+# rows, and so many bytes if all its values were as large as the largest may be.
+_ROWS, _PART = 128, 32 * 2**20
 
 
 def read_table(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
@@ -37,33 +38,58 @@ def read_table(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
                 f"as {twice[0]!r}; write it again with each of them once."
             )
         wanted = [name for name in columns or names if name in names]
-        plain = _check_size(file, parquet.metadata.num_rows, wanted)
-        if plain:
+        longest = _check_size(file, parquet.metadata.num_rows, wanted)
+        if not longest:
             return parquet.read(columns=wanted)
-        return _read_in_parts(file, parquet, wanted)
+        return _read_in_parts(file, parquet, wanted, longest)
 
 
-def _check_size(file: Path, rows: int, wanted: Sequence[str]) -> bool:
-    """Check what is declared; return whether all of it are plain numbers."""
+def _check_size(file: Path, rows: int, wanted: Sequence[str]) -> int:
+    """Check what is declared; return how long a text or an image may be [bytes].
+
+    None is longer than all that its column stores in a row group; 0 where all values
+    are plain numbers.
+    """
     columns = tuple(f"{name}." for name in wanted)
     read = [leaf for leaf in leaves(file) if f"{leaf.path}.".startswith(columns)]
     declared = 8 * rows * len(wanted)
     check_declared(file, declared + sum(leaf.declared for leaf in read))
-    return all(leaf.plain for leaf in read)
+    return max((max(leaf.declared, 1) for leaf in read if not leaf.plain), default=0)
 
 
 def _read_in_parts(
-    file: Path, parquet: pq.ParquetFile, wanted: Sequence[str]
+    file: Path, parquet: pq.ParquetFile, wanted: Sequence[str], longest: int
 ) -> pa.Table:
-    def parts() -> Iterator[pa.RecordBatch]:
-        held = 0
-        for part in parquet.iter_batches(batch_size=_AT_ONCE, columns=list(wanted)):
-            held += part.nbytes
-            check_declared(file, held)
-            yield part
-
     schema = pa.schema([parquet.schema_arrow.field(name) for name in wanted])
-    return pa.Table.from_batches(list(parts()), schema)
+    whole: list[pa.Table] = [schema.empty_table()]
+    parts: list[pa.RecordBatch] = []
+    for part in _parts(file, parquet, wanted, longest):
+        parts.append(part)
+        # Of thousands of parts a table takes its time to find each row.
+        if len(parts) == _ROWS:
+            whole.append(pa.Table.from_batches(parts, schema).combine_chunks())
+            parts.clear()
+    return pa.concat_tables([*whole, pa.Table.from_batches(parts, schema)])
+
+
+def _parts(
+    file: Path, parquet: pq.ParquetFile, wanted: Sequence[str], longest: int
+) -> Iterator[pa.RecordBatch]:
+    """Yield rows, checking how many bytes they all take.
+
+    Raises:
+        DataError: They take much more than the file's own size allows.
+    """
+    held, rows = 0, 1
+    most = min(max(_PART // longest, 1), _ROWS)
+    for part in parquet.iter_batches(batch_size=rows, columns=list(wanted)):
+        held += part.nbytes
+        check_declared(file, held)
+        yield part
+        # What is declared may be too little: more rows only after small ones.
+        fitting = _PART * part.num_rows // max(part.nbytes, 1)
+        rows = max(min(2 * rows, most, fitting), 1)
+        parquet.reader.set_batch_size(rows)
 
 
 def whole_numbers(file: Path, table: pa.Table, name: str) -> npt.NDArray[np.int64]:

@@ -18,7 +18,13 @@ import pytest
 
 from rlco.errors import DataError
 from rlco.files import sizes
-from rlco.lerobot_files import images, iterate_images, read_columns, read_folder
+from rlco.lerobot_files import (
+    images,
+    iterate_images,
+    read_columns,
+    read_folder,
+    tables,
+)
 
 CAMERA = "observation.images.front"
 STORED = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
@@ -207,6 +213,44 @@ def test_an_image_that_a_small_file_repeats_without_end(
     assert data_file(root).stat().st_size < 100_000
     with pytest.raises(DataError, match=r"declares 1\.\d MB of numbers"):
         next(iterate_images(read_folder(root), CAMERA))
+
+
+def test_a_large_image_that_a_file_repeats_is_read_row_by_row(
+    root: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Small rows come first, so that nobody concludes from them how large all are."""
+    monkeypatch.setattr(sizes, "_FREE", 60 * 10**6)
+    large = 10 * 2**20
+    values = pa.array([b"small", bytes(large)])
+    which = pa.array([0] * 200 + [1] * 128, pa.int32())
+    rows = len(which)
+    repeated = pa.StructArray.from_arrays(
+        [pa.DictionaryArray.from_arrays(which, values)], ["bytes"]
+    )
+    columns = {
+        CAMERA: repeated,
+        "frame_index": pa.array(np.arange(rows)),
+        "episode_index": pa.array(np.zeros(rows, np.int64)),
+    }
+    table = pa.table(columns)
+    pq.write_table(table, data_file(root), compression="zstd", store_schema=False)
+    assert data_file(root).stat().st_size < 10_000
+    pool = pa.proxy_memory_pool(pa.default_memory_pool())
+    usual = pa.default_memory_pool()
+    pa.set_memory_pool(pool)
+    try:
+        with pytest.raises(DataError, match=r"declares \d+\.\d MB of numbers"):
+            next(iterate_images(read_folder(root), CAMERA))
+    finally:
+        pa.set_memory_pool(usual)
+    assert pool.max_memory() < 20 * large
+
+
+def test_texts_in_many_rows_are_read_as_they_are(root: Path) -> None:
+    texts = [f"{row} of many" for row in range(2000)]
+    file = root / "texts.parquet"
+    pq.write_table(pa.table({"task": texts}), file, row_group_size=700)
+    assert tables.read_table(file)["task"].to_pylist() == texts
 
 
 # -- Films -----------------------------------------------------------------------------

@@ -29,7 +29,7 @@ from rosbags.typesys.store import Typestore
 
 from rlco.errors import DataError
 from rlco.files import reading
-from rlco.gap.logs.formats import bag_sizes
+from rlco.gap.logs.formats import bag_databases, bag_sizes
 from rlco.gap.logs.formats.headers import WORDS
 from rlco.gap.logs.formats.topics import parse_topic
 from rlco.gap.logs.log import Array
@@ -137,6 +137,7 @@ def _topics(path: Path) -> dict[str, _Topic]:
     advice = "give a whole bag, 'ros2 bag reindex' may repair one that was cut off"
     what = "rosbag2 of MCAP or SQLite"
     bag_sizes.bound_chunks()
+    bag_databases.check_databases()
     if path.is_dir():
         with reading(path, *_OWN, what=what, advice=advice):
             bag_sizes.check_files(path)
