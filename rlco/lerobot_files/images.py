@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -15,6 +16,7 @@ import PIL.Image
 
 from rlco.errors import DataError
 from rlco.files.places import inside
+from rlco.files.sizes import check_held
 from rlco.lerobot_files.columns import (
     episode_rows,
     read_columns,
@@ -47,7 +49,8 @@ def iterate_images(folder: LeRobotFolder, name: str) -> Iterator[Images]:
         Shape (frames, 3, height, width), RGB.
 
     Raises:
-        DataError: If the feature is not a camera, or an image is missing or damaged.
+        DataError: If the feature is not a camera, an image is missing or damaged, or an
+            episode's images take more than half of the memory.
     """
     feature = folder.feature(name)
     if feature.dtype == "image":
@@ -60,6 +63,49 @@ def iterate_images(folder: LeRobotFolder, name: str) -> Iterator[Images]:
     )
 
 
+class _Film:
+    """An episode's images, each of which is written where it stays.
+
+    No second one is decoded before it is known that there is memory for all: a
+    picture of one colour takes a few bytes in a file, and an episode may be any number
+    of times the same.
+    """
+
+    def __init__(self, episode: Episode) -> None:
+        self.episode = episode
+        self.images: Images = np.empty((0, 3, 0, 0), np.uint8)
+        self.written = 0
+
+    def make_room(self, size: tuple[int, int]) -> None:
+        """Take memory for images of a width and height [pixels]; call before each.
+
+        Raises:
+            DataError: They are more than memory is for, or one differs in size.
+        """
+        width, height = size
+        if self.written:
+            if self.images.shape[2:] != (height, width):
+                raise DataError(
+                    f"the images of episode {self.episode.index} differ in size: "
+                    f"{self.images.shape[2:]} and {(height, width)} (height, width)."
+                )
+            return
+        shape = (self.episode.length, 3, height, width)
+        check_held(
+            math.prod(shape),
+            f"the {shape[0]} images of episode {self.episode.index}, {width} pixels "
+            f"wide and {height} high,",
+            "leave the episode out with episodes=, or record it in parts or in smaller "
+            "images",
+        )
+        self.images = np.empty(shape, np.uint8)
+
+    def add(self, image: Images) -> None:
+        """Write the next image, (height, width, 3)."""
+        self.images[self.written] = image.transpose(2, 0, 1)
+        self.written += 1
+
+
 def _iterate_png(folder: LeRobotFolder, feature: Feature) -> Iterator[Images]:
     file: Path | None = None
     for episode in folder.episodes:
@@ -70,25 +116,25 @@ def _iterate_png(folder: LeRobotFolder, feature: Feature) -> Iterator[Images]:
             )
             column = table[feature.stored_name]
         rows = episode_rows(file, table, [episode])[episode.index]
-        frames = [
-            _decode_png(episode, t, feature, column[int(row)].as_py())
-            for t, row in enumerate(rows)
-        ]
-        yield _stack(episode, frames)
+        film = _Film(episode)
+        for t, row in enumerate(rows):
+            _decode_png(film, t, feature, column[int(row)].as_py())
+        yield film.images
 
 
-def _decode_png(episode: Episode, frame: int, feature: Feature, cell: Any) -> Images:
+def _decode_png(film: _Film, frame: int, feature: Feature, cell: Any) -> None:
     content = cell.get("bytes") if isinstance(cell, dict) else None
     where = (
-        f"the image of frame {frame} of episode {episode.index} in file "
-        f"{str(episode.data_file)!r}"
+        f"the image of frame {frame} of episode {film.episode.index} in file "
+        f"{str(film.episode.data_file)!r}"
     )
     if not isinstance(content, bytes):
         raise DataError(f"{where} is not in the file; embed the images in it.")
     try:
         with PIL.Image.open(io.BytesIO(content), formats=_IMAGES) as image:
             _check_size(feature, image.size, where)
-            return np.asarray(image.convert("RGB"))
+            film.make_room(image.size)
+            film.add(np.asarray(image.convert("RGB")))
     except (OSError, SyntaxError, ValueError, PIL.Image.DecompressionBombError) as bad:
         if isinstance(bad, DataError):
             raise
@@ -124,24 +170,26 @@ def _iterate_video(folder: LeRobotFolder, feature: Feature) -> Iterator[Images]:
     )
     for episode, span, times in zip(folder.episodes, spans, timestamps, strict=True):
         inside(folder.path, span.file)
-        frames = _decode_video(feature, span, span.start + times, 0.5 / folder.fps)
-        if len(frames) < episode.length:
+        film = _Film(episode)
+        _decode_video(film, feature, span, span.start + times, 0.5 / folder.fps)
+        found = film.written
+        if found < episode.length:
             raise DataError(
-                f"video file {str(span.file)!r} has no image for frame {len(frames)} "
-                f"of episode {episode.index}, at {span.start + times[len(frames)]:.3f} "
+                f"video file {str(span.file)!r} has no image for frame {found} "
+                f"of episode {episode.index}, at {span.start + times[found]:.3f} "
                 "s; copy it again, or leave the episode out."
             )
-        yield _stack(episode, frames)
+        yield film.images
 
 
 def _decode_video(
+    film: _Film,
     feature: Feature,
     span: VideoSpan,
     times: npt.NDArray[np.float64],
     tolerance: float,
-) -> list[Images]:
-    """Return the frames at ``times`` [s], up to the first one not found."""
-    frames: list[Images] = []
+) -> None:
+    """Add the frames at ``times`` [s] to a film, up to the first one not found."""
     where = f"video file {str(span.file)!r}"
     try:
         # A list of other files, which some formats are, is none of them.
@@ -153,19 +201,20 @@ def _decode_video(
                 # Seek to the key frame at or before the first time, then skip.
                 container.seek(int(times[0] / stream.time_base), stream=stream)
             for frame in container.decode(stream):
-                if len(frames) == len(times) or frame.time is None:
+                if film.written == len(times) or frame.time is None:
                     break
-                ahead = frame.time - times[len(frames)]
+                ahead = frame.time - times[film.written]
                 if ahead > tolerance:
                     break
                 if ahead >= -tolerance:
                     _check_size(feature, (frame.width, frame.height), where)
-                    frames.append(frame.to_ndarray(format="rgb24").astype(np.uint8))
+                    film.make_room((frame.width, frame.height))
+                    image = frame.to_ndarray(format="rgb24")
+                    film.add(image.astype(np.uint8, copy=False))
     except (av.FFmpegError, IndexError, OverflowError, UnicodeError) as error:
         raise DataError(
             f"{where} cannot be decoded ({error}); copy it again."
         ) from None
-    return frames
 
 
 def _check_codec(stream: av.VideoStream, where: str) -> None:
@@ -177,12 +226,3 @@ def _check_codec(stream: av.VideoStream, where: str) -> None:
             f"{where} is coded as {name!r}, and {', '.join(_CODECS)} are read; encode "
             "it as one of them."
         )
-
-
-def _stack(episode: Episode, frames: list[Images]) -> Images:
-    sizes = {frame.shape for frame in frames}
-    if len(sizes) > 1:
-        raise DataError(
-            f"the images of episode {episode.index} differ in size: {sorted(sizes)}."
-        )
-    return np.ascontiguousarray(np.stack(frames).transpose(0, 3, 1, 2))

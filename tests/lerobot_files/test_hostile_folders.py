@@ -63,13 +63,13 @@ def data_file(root: Path) -> Path:
     return root / "data/chunk-000/episode_000000.parquet"
 
 
-def write_frames(file: Path, image: bytes) -> None:
+def write_frames(file: Path, image: bytes, frames: int = 3) -> None:
     file.parent.mkdir(parents=True, exist_ok=True)
     columns = {
-        "observation.state": pa.array([0.5, 1.5, 2.5], pa.float32()),
-        CAMERA: pa.array([{"bytes": image, "path": None}] * 3),
-        "frame_index": pa.array([0, 1, 2]),
-        "episode_index": pa.array([0, 0, 0]),
+        "observation.state": pa.array(np.arange(frames) + 0.5, pa.float32()),
+        CAMERA: pa.array([{"bytes": image, "path": None}] * frames),
+        "frame_index": pa.array(np.arange(frames)),
+        "episode_index": pa.array(np.zeros(frames, np.int64)),
     }
     pq.write_table(pa.table(columns), file)
 
@@ -178,6 +178,61 @@ def test_a_declared_image_larger_than_any_camera_has(
     monkeypatch.setattr(images, "_MOST_PIXELS", 500)
     with pytest.raises(DataError, match="512 pixels, and at most 500"):
         read(root)
+
+
+@pytest.mark.parametrize("video", [False, True])
+def test_an_episode_of_more_pixels_than_there_is_memory_for(
+    root: Path, monkeypatch: pytest.MonkeyPatch, video: bool
+) -> None:
+    if video:
+        film(root, coded("mpeg4"))
+    monkeypatch.setattr(sizes, "_memory", lambda: 2 * 3 * 3 * 16 * 32 - 1)
+    with pytest.raises(DataError, match=r"the 3 images of episode 0, 32 .* episodes="):
+        read(root)
+    monkeypatch.setattr(sizes, "_memory", lambda: 2 * 3 * 3 * 16 * 32)
+    read(root)
+
+
+def test_images_of_an_episode_that_differ_in_size(root: Path) -> None:
+    table = pq.read_table(data_file(root))
+    at = table.schema.get_field_index(CAMERA)
+    cells = [{"bytes": png(*size)} for size in [(32, 16), (16, 32), (32, 16)]]
+    pq.write_table(table.set_column(at, CAMERA, pa.array(cells)), data_file(root))
+    with pytest.raises(DataError, match=r"episode 0 differ in size: \(16, 32\) and"):
+        read(root)
+
+
+def test_images_are_in_memory_once(root: Path) -> None:
+    features = json.loads((root / "meta/info.json").read_text())["features"]
+    features[CAMERA]["shape"] = [1000, 1000, 3]
+    edit(root, features=features)
+    write_frames(data_file(root), png(1000, 1000), 40)
+    listed = {"episode_index": 0, "length": 40}
+    (root / "meta/episodes.jsonl").write_text(json.dumps(listed))
+    tracemalloc.start()
+    try:
+        (found,) = iterate_images(read_folder(root), CAMERA)
+        assert tracemalloc.get_traced_memory()[1] < 1.2 * found.nbytes
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    ("allowed", "most"), [("max\n", None), ("1000\n", 1000), (None, None)]
+)
+def test_a_container_s_memory_is_the_memory(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    allowed: str | None,
+    most: int | None,
+) -> None:
+    monkeypatch.setattr(sizes, "_CONTAINER", tmp_path / "none")
+    machine = sizes._memory()
+    assert machine > 10**8
+    if allowed is not None:
+        (tmp_path / "memory.max").write_text(allowed)
+        monkeypatch.setattr(sizes, "_CONTAINER", tmp_path / "memory.max")
+    assert sizes._memory() == (most or machine)
 
 
 def test_an_episode_of_more_frames_than_any_memory_holds(root: Path) -> None:
