@@ -7,6 +7,7 @@ for a message of a gigabyte, or for messages without end. Recorders write neithe
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import apsw
 from rosbags.rosbag2 import Reader, reader
@@ -111,8 +112,9 @@ def _size_of(path: Path, database: apsw.Connection, table: str, kind: str) -> in
             f"that a topic may be there many times; {advice}."
         )
     sizes = [f"total(octet_length({_quoted(str(name))}))" for name, _, _ in columns]
-    found = database.execute(f"SELECT {' + '.join(sizes)} FROM {_quoted(table)}")
-    return int(found.fetchall()[0][0])
+    question = f"SELECT {' + '.join(sizes)} FROM {_quoted(table)}"
+    total: Any = database.execute(question).fetchall()[0][0]
+    return int(total)
 
 
 def _quoted(name: str) -> str:
