@@ -13,9 +13,9 @@ import logging
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from rlco.files.indices import format_indices, index_list
 from rlco.run import Run, run_recipe
 from rlco.runs.config import REQUIRED, folder_name, option
-from rlco.runs.indices import format_indices, index_list
 from rlco.training.options.policy_options import PolicyOptions, group_values
 from rlco.training.options.stage_one_options import StageOneOptions
 

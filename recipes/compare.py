@@ -20,20 +20,20 @@ from pathlib import Path
 from typing import Literal
 
 from rlco.errors import ConfigError, RlcoError, printable
-from rlco.reporting.comparison import (
+from rlco.reporting.experiments.comparison import (
     comparison_table,
     cost_table,
     overview_table,
     prediction_runs,
     prediction_table,
 )
-from rlco.reporting.drift import drift_table, drifts_of
-from rlco.reporting.entries import curves_of
-from rlco.reporting.experiment_results import made_by, result_rows, table_entries
-from rlco.reporting.group_means import mean_table
+from rlco.reporting.experiments.drift import drift_table, drifts_of
+from rlco.reporting.experiments.entries import curves_of
+from rlco.reporting.experiments.group_means import mean_table
+from rlco.reporting.experiments.prediction_figure import prediction_figure
+from rlco.reporting.experiments.results import made_by, result_rows, table_entries
+from rlco.reporting.experiments.success_over import success_over
 from rlco.reporting.plots import learning_curves, save_figure
-from rlco.reporting.prediction_figure import prediction_figure
-from rlco.reporting.success_over import success_over
 from rlco.run import run_recipe
 from rlco.runs import run_folder
 from rlco.runs.compare.cells import Store

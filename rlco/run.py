@@ -17,19 +17,16 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from rlco.errors import NonFiniteError, RlcoError
+from rlco.errors import NonFiniteError
 from rlco.reporting.headless import choose_gl
 from rlco.runs import checkpoints, run_folder
 from rlco.runs.config import RunOptions, parse, to_yaml
 from rlco.runs.endings import (
-    NO_PATH,
     STORAGE,
     Stopped,
+    ending,
     is_out_of_memory,
-    memory_problem,
-    path_problem,
     stop_on_signals,
-    storage_problem,
 )
 from rlco.runs.progress import Progress
 from rlco.runs.resumed import (
@@ -83,22 +80,13 @@ def run_recipe[C](
         if loads not in sys.modules:
             log.info("loading %s", loads)
         main(config)
-    except RlcoError as error:
-        sys.stderr.write(f"error: {error}\n")
-        raise SystemExit(2) from None
-    except OSError as error:
-        if error.errno in NO_PATH:
-            sys.stderr.write(f"error: {path_problem(error)}\n")
-            raise SystemExit(2) from None
-        if error.errno not in STORAGE:
+    except Exception as error:
+        ended = ending(error)
+        if ended is None:
             raise
-        sys.stderr.write(f"error: {storage_problem(error)}\n")
-        raise SystemExit(1) from None
-    except (MemoryError, RuntimeError) as error:
-        if not is_out_of_memory(error):
-            raise
-        sys.stderr.write(f"error: {memory_problem(error)}\n")
-        raise SystemExit(1) from None
+        sentence, status = ended
+        sys.stderr.write(f"error: {sentence}\n")
+        raise SystemExit(status) from None
     except KeyboardInterrupt as stop:
         number = stop.number if isinstance(stop, Stopped) else signal.SIGINT
         raise SystemExit(128 + number) from None

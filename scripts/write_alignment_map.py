@@ -16,8 +16,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from rlco.reporting.alignment.map import METHODS, Column, as_json
-from rlco.reporting.entries import rates
-from rlco.reporting.experiment_results import table_entries
+from rlco.reporting.experiments.entries import rates
+from rlco.reporting.experiments.results import table_entries
 from rlco.runs.compare.cells import Store
 from rlco.runs.compare.jobs import expand
 from rlco.runs.compare.read_experiment import read_experiment

@@ -11,6 +11,7 @@ from typing import Any, Literal, NoReturn
 
 from rlco.errors import DataError
 from rlco.files import Fields, read_json_lines, shown
+from rlco.files.indices import format_indices
 from rlco.files.places import filled, inside
 from rlco.lerobot_files.schema import Episode, VideoSpan
 from rlco.lerobot_files.tables import (
@@ -19,7 +20,6 @@ from rlco.lerobot_files.tables import (
     real_numbers,
     whole_numbers,
 )
-from rlco.runs.indices import format_indices
 
 _DATA_V2 = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
 _VIDEO_V2 = (

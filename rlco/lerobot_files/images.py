@@ -67,7 +67,7 @@ class _Film:
     """An episode's images, each of which is written where it stays.
 
     No second one is decoded before it is known that there is memory for all: a
-    picture of one colour takes a few bytes in a file, and an episode may be any number
+    image of one colour takes a few bytes in a file, and an episode may be any number
     of times the same.
     """
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 import re
 import sys
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,8 +19,8 @@ import yaml
 from omegaconf import DictConfig, OmegaConf, SCMode
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
 
-from rlco.errors import ConfigError, DataError, UnknownNameError
-from rlco.files import read_yaml, shown
+from rlco.errors import ConfigError, UnknownNameError
+from rlco.files import shown
 from rlco.runs.options import (
     AS_NOW,
     Option,
@@ -32,6 +32,13 @@ from rlco.runs.options import REQUIRED as REQUIRED
 from rlco.runs.options import distinct as distinct
 from rlco.runs.options import folder_name as folder_name
 from rlco.runs.options import option as option
+from rlco.runs.settings import (
+    Setting,
+    command_line,
+    config_file,
+    configs,
+    read_settings,
+)
 
 #: NumPy's generators take 32 bits.
 LAST_SEED = 2**32 - 1
@@ -67,22 +74,6 @@ class RunOptions:
     )
 
 
-@dataclass(frozen=True)
-class _Setting:
-    """One value given by the user, and the file it stands in ("": command line).
-
-    With ``when`` it holds only where that option has that value.
-    """
-
-    key: str
-    value: Any
-    source: str = ""
-    when: tuple[str, Any] | None = None
-
-    def problem(self, text: str) -> str:
-        return f"in {self.source}: {text}" if self.source else text
-
-
 def parse[C](config_class: type[C], argv: Sequence[str], recipe_path: str | Path) -> C:
     """Build a recipe's configuration from its command line.
 
@@ -115,11 +106,11 @@ option seed: 'x' is not of type int.
     """
     recipe_path = Path(recipe_path)
     if any(argument in _HELP for argument in argv):
-        sys.stdout.write(help_table(config_class, recipe_path, _configs(recipe_path)))
+        sys.stdout.write(help_table(config_class, recipe_path, configs(recipe_path)))
         raise SystemExit(0)
     options = options_of(config_class)
     problems: list[str] = []
-    given = _command_line(argv, options, problems)
+    given = command_line(argv, options, problems)
     base = _base_settings(given, options, recipe_path, problems)
     config: DictConfig = OmegaConf.structured(config_class)
     implied = [] if "resume" in given else _implied(options)
@@ -173,37 +164,12 @@ def _plain(value: Any) -> Any:
     return str(value) if isinstance(value, Path) else value
 
 
-def _command_line(
-    argv: Sequence[str], options: Mapping[str, Option], problems: list[str]
-) -> dict[str, _Setting]:
-    """Split ``key=value`` arguments; each key may come once."""
-    given: dict[str, _Setting] = {}
-    for argument in argv:
-        key, equals, text = argument.partition("=")
-        if not equals or not key or key.startswith("-"):
-            hint = f"; write {argument.lstrip('-')}" if "=" in argument[1:] else ""
-            problems.append(f"argument {shown(argument)} is not key=value{hint}")
-            continue
-        if key in given:
-            problems.append(f"option {key} is given twice")
-            continue
-        value: Any = text
-        if key in options:
-            try:
-                value = options[key].from_text(text)
-            except (yaml.YAMLError, ValueError):
-                problems.append(f"option {key}: {shown(text)} is not a YAML value")
-                continue
-        given[key] = _Setting(key, value)
-    return given
-
-
 def _base_settings(
-    given: Mapping[str, _Setting],
+    given: Mapping[str, Setting],
     options: Mapping[str, Option],
     recipe_path: Path,
     problems: list[str],
-) -> list[_Setting] | None:
+) -> list[Setting] | None:
     """Read what lies below the command line: a YAML file, or the run to resume.
 
     None where it cannot be read, so that nothing it may hold is called missing.
@@ -224,28 +190,28 @@ def _base_settings(
                 )
                 return None
         elif "config" in given:
-            path = _config_file(str(given["config"].value), recipe_path)
+            path = config_file(str(given["config"].value), recipe_path)
         else:
             return []
     except UnknownNameError as error:
         problems.append(str(error).rstrip("."))
         return None
-    settings = _read_yaml(path, options, problems)
+    settings = read_settings(path, options, problems)
     if settings is None or not resumes:
         return settings
     # What the run did before an option existed, it goes on to do.
     written = {setting.key for setting in settings}
     return settings + [
-        _Setting(key, entry.earlier, str(path))
+        Setting(key, entry.earlier, str(path))
         for key, entry in options.items()
         if key not in written and entry.earlier is not AS_NOW
     ]
 
 
-def _implied(options: Mapping[str, Option]) -> list[_Setting]:
+def _implied(options: Mapping[str, Option]) -> list[Setting]:
     """Return the defaults that values of options imply for others."""
     return [
-        _Setting(key, default, when=(name, value))
+        Setting(key, default, when=(name, value))
         for name, entry in options.items()
         for value, defaults in entry.implies.items()
         for key, default in defaults.items()
@@ -253,10 +219,10 @@ def _implied(options: Mapping[str, Option]) -> list[_Setting]:
 
 
 def _holding(
-    settings: Sequence[_Setting],
-    given: Mapping[str, _Setting],
+    settings: Sequence[Setting],
+    given: Mapping[str, Setting],
     options: Mapping[str, Option],
-) -> list[_Setting]:
+) -> list[Setting]:
     """Return the settings that hold, the later ones last.
 
     What an option's value implies lies below all that files say; what they say for one
@@ -273,80 +239,9 @@ def _holding(
     ]
 
 
-def _configs(recipe_path: Path) -> dict[str, Path]:
-    """Named configurations: in the recipe's own folder first, then beside it."""
-    folders = (recipe_path.parent, recipe_path.with_suffix(""))
-    return {path.stem: path for f in folders for path in sorted(f.glob("*.yaml"))}
-
-
-def _config_file(given: str, recipe_path: Path) -> Path:
-    if Path(given).suffix in (".yaml", ".yml") and Path(given).is_file():
-        return Path(given)
-    known = _configs(recipe_path)
-    if given not in known:
-        raise UnknownNameError("config", given, sorted(known) or ["PATH of a .yaml"])
-    return known[given]
-
-
-def _read_yaml(
-    path: Path, options: Mapping[str, Option], problems: list[str]
-) -> list[_Setting] | None:
-    try:
-        content = read_yaml(path, advice="give a YAML file of options")
-    except DataError as error:
-        problems.append(str(error).rstrip("."))
-        return None
-    if not isinstance(content, dict):
-        problems.append(f"{path} must hold key: value lines")
-        return None
-    try:
-        settings = _flatten(content, options, str(path))
-    except (yaml.YAMLError, ValueError) as error:
-        problems.append(
-            f"in {path}: a value before a group is no YAML: {shown(str(error))}"
-        )
-        return None
-    # A value may be a list, which a set cannot hold.
-    keys = [(setting.key, repr(setting.when)) for setting in settings]
-    problems += [
-        f"in {path}: option {key[0]} is given twice"
-        for key in dict.fromkeys(keys)
-        if keys.count(key) > 1
-    ]
-    values = {repr(one.when): one.when for one in settings if one.when}
-    for name, value in values.values():
-        if complaint := options[name].complaint(value):
-            problems.append(f"in {path}: option {name}: {complaint}")
-    return settings
-
-
-def _flatten(
-    content: Mapping[Any, Any],
-    options: Mapping[str, Option],
-    source: str,
-    prefix: str = "",
-) -> list[_Setting]:
-    settings = []
-    for name, value in content.items():
-        key = f"{prefix}{name}"
-        option, equals, text = key.partition("=")
-        # A dict-valued option is a leaf; every other mapping is a group, or is for one
-        # value of an option.
-        if isinstance(value, Mapping) and equals and option in options:
-            when = (option, options[option].from_text(text))
-            settings += [
-                replace(one, when=when) for one in _flatten(value, options, source)
-            ]
-        elif isinstance(value, Mapping) and key not in options:
-            settings += _flatten(value, options, source, f"{key}.")
-        else:
-            settings.append(_Setting(key, value, source))
-    return settings
-
-
 def _apply(
     config: DictConfig,
-    settings: Sequence[_Setting],
+    settings: Sequence[Setting],
     options: Mapping[str, Option],
     problems: list[str],
 ) -> None:
@@ -392,7 +287,7 @@ def _outside(value: Any) -> str | None:
 def _check_unchanged(
     saved: DictConfig,
     config: DictConfig,
-    given: Mapping[str, _Setting],
+    given: Mapping[str, Setting],
     options: Mapping[str, Option],
     problems: list[str],
 ) -> None:

@@ -10,6 +10,7 @@ import signal
 import threading
 from types import FrameType
 
+from rlco.errors import RlcoError
 from rlco.files import shown
 from rlco.files.reading import reason
 
@@ -55,6 +56,27 @@ def stop_on_signals() -> None:
 
 def _stop(number: int, _frame: FrameType | None) -> None:
     raise Stopped(number)
+
+
+def ending(error: Exception) -> tuple[str, int] | None:
+    """Return what a run that ends by an exception says, and its exit status.
+
+    Wrong input is status 2; a full or read-only disk and a full memory are 1. Every
+    other exception is a defect: None, and it keeps its traceback.
+
+    Example:
+        >>> ending(MemoryError("9 TiB"))[1], ending(KeyError("x"))
+        (1, None)
+    """
+    if isinstance(error, RlcoError):
+        return str(error), 2
+    if isinstance(error, OSError) and error.errno in NO_PATH:
+        return path_problem(error), 2
+    if isinstance(error, OSError) and error.errno in STORAGE:
+        return storage_problem(error), 1
+    if is_out_of_memory(error):
+        return memory_problem(error), 1
+    return None
 
 
 def path_problem(error: OSError) -> str:

@@ -6,7 +6,7 @@ import logging
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rlco.errors import ConfigError
-from rlco.runs.indices import format_indices, index_list
+from rlco.files.indices import format_indices, index_list
 from rlco.runs.options import rename_map
 from rlco.training.options import policy_options
 from rlco.training.options.domain_flag_options import check_domain_flag

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rlco import keys
 from rlco.errors import ConfigError
-from rlco.runs.indices import format_indices, index_list
+from rlco.files.indices import format_indices, index_list
 from rlco.training.options.domain_flag_options import refuse_domain_flag
 from rlco.training.options.policy_options import (
     augment,

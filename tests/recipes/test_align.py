@@ -10,8 +10,8 @@ import pytest
 from align import Config, split, stage_options
 from recipe_cases import Assets, refused, start
 
+from rlco.files.indices import index_list
 from rlco.reporting.alignment.page import Alignment
-from rlco.runs.indices import index_list
 
 pytestmark = pytest.mark.slow
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlco.errors import RlcoError
+from rlco.files.indices import format_indices
 from rlco.physics.effects.corrected_model import Given
 from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.spec.domain import Domain, GivenDomain, make_domain
@@ -17,7 +18,6 @@ from rlco.physics.spec.observation import noise_size, observe
 from rlco.physics.spec.robot import POSITION
 from rlco.physics.spec.task import Array, Task
 from rlco.physics.tasks.check_task import check_task
-from rlco.runs.indices import format_indices
 
 _logger = logging.getLogger(__name__)
 

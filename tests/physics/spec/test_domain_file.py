@@ -138,7 +138,7 @@ def test_names_and_paths_that_are_not_there(tmp_path: Path) -> None:
     for path in ("robot.yaml", "no/robot", tmp_path / "robot"):
         with pytest.raises(DataError, match=r"is missing; give an effects\.yaml"):
             make_domain(path)
-    with pytest.raises(DataError, match=r"cannot be read \(Is a directory\)"):
+    with pytest.raises(DataError, match=r"is no file; give an effects"):
         make_domain(tmp_path)
 
 

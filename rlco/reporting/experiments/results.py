@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from rlco.errors import DataError
-from rlco.reporting.entries import Entry, State, group_name
+from rlco.reporting.experiments.entries import Entry, State, group_name
 from rlco.runs.compare.cells import Cell, Store
 from rlco.runs.compare.experiment import Experiment, Line, Table
 from rlco.runs.compare.jobs import Job

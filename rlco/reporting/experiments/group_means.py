@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from rlco.reporting.comparison import points, published_rows, row_of, share
-from rlco.reporting.entries import (
+from rlco.reporting.experiments.comparison import points, published_rows, row_of, share
+from rlco.reporting.experiments.entries import (
     Entry,
     domains_of,
     ends_of,

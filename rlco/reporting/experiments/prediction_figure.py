@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from matplotlib.figure import Figure
 
+from rlco.reporting.experiments.rank_correlation import Runs
 from rlco.reporting.plot_style import (
     INK,
     QUIET,
@@ -13,7 +14,6 @@ from rlco.reporting.plot_style import (
     domain_label,
     new_figure,
 )
-from rlco.reporting.rank_correlation import Runs
 from rlco.reporting.statistics import mean_interval
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Sequence
 
-from rlco.reporting.entries import (
+from rlco.reporting.experiments.entries import (
     Entry,
     Rates,
     domains_of,
@@ -13,7 +13,11 @@ from rlco.reporting.entries import (
     found_runs,
     gains_of,
 )
-from rlco.reporting.rank_correlation import LEAST_GROUPS, Runs, rank_correlation
+from rlco.reporting.experiments.rank_correlation import (
+    LEAST_GROUPS,
+    Runs,
+    rank_correlation,
+)
 from rlco.reporting.statistics import Interval, mean_interval
 from rlco.runs.compare.experiment import Prediction, Published
 

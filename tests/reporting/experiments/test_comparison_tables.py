@@ -7,17 +7,17 @@ from typing import Any
 import pytest
 
 from rlco.errors import DataError
-from rlco.reporting.comparison import (
+from rlco.reporting.experiments.comparison import (
     comparison_table,
     cost_table,
     overview_table,
     prediction_table,
 )
-from rlco.reporting.drift import drift_table, drifts_of
-from rlco.reporting.entries import Entry, State, curves_of
-from rlco.reporting.group_means import mean_table
+from rlco.reporting.experiments.drift import drift_table, drifts_of
+from rlco.reporting.experiments.entries import Entry, State, curves_of
+from rlco.reporting.experiments.group_means import mean_table
+from rlco.reporting.experiments.success_over import success_over
 from rlco.reporting.plots import learning_curves
-from rlco.reporting.success_over import success_over
 from rlco.runs.compare.experiment import Prediction, Published
 
 

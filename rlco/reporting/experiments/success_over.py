@@ -8,7 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from rlco.reporting.entries import Entry, domains_of, ends_of, found_runs, group_name
+from rlco.reporting.experiments.entries import (
+    Entry,
+    domains_of,
+    ends_of,
+    found_runs,
+    group_name,
+)
 from rlco.reporting.plot_style import (
     INK,
     caption,

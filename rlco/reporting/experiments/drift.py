@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from rlco.reporting.comparison import row_of
-from rlco.reporting.entries import Entry
+from rlco.reporting.experiments.comparison import row_of
+from rlco.reporting.experiments.entries import Entry
 from rlco.reporting.plots import Drift
 from rlco.reporting.statistics import Interval, mean_interval
 

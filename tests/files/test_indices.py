@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from rlco.errors import ConfigError
-from rlco.runs.indices import index_list
+from rlco.files.indices import index_list
 
 
 @pytest.mark.parametrize("text", ["0-999999999999", "3-1", "a", "1,,2", "²"])

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from rlco.reporting.prediction_figure import prediction_figure
-from rlco.reporting.rank_correlation import Runs, rank_correlation
+from rlco.reporting.experiments.prediction_figure import prediction_figure
+from rlco.reporting.experiments.rank_correlation import Runs, rank_correlation
 
 
 def groups_of(seed: int, count: int, slope: float) -> list[Runs]:

@@ -1,0 +1,1 @@
+"""What an experiment of many runs came to: tables and figures over seeds."""
