@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import logging
 import os
+import platform
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -18,6 +22,7 @@ from torchrl.collectors import Collector
 from torchrl.envs import TransformedEnv
 from torchrl.envs.utils import ExplorationType
 
+from rlco.collectors import patience
 from rlco.collectors.local_rollouts import checked
 from rlco.collectors.rollout_checks import FiniteRollout
 from rlco.envs.chunk_env import ChunkEnv
@@ -31,6 +36,11 @@ log = logging.getLogger("rlco.collectors")
 
 #: TorchRL 0.14.1 collects nothing where no number of frames is given.
 _FRAMES = sys.maxsize
+
+#: A rollout that takes so many times as long as the longest before is told.
+_SLOWER = 5
+#: In which a worker answers that plays nothing [s].
+_ANSWER = 5.0
 
 
 @dataclass(frozen=True)
@@ -86,6 +96,8 @@ class RayRollouts:
         self._check_processors()
         self._collector: Any = None
         self._batches: Iterator[TensorDictBase] = iter(())
+        self._processes: list[str] = []
+        self._longest = 0.0
         self._start()
 
     def _check_processors(self) -> None:
@@ -156,15 +168,50 @@ class RayRollouts:
         try:
             ray.get(began)
             self._collector.update_policy_weights_(self._policy)
-            stacked = next(self._batches)
+            with self._impatient(iteration):
+                stacked = next(self._batches)
         except ray.exceptions.RayTaskError as error:
             if isinstance(error.cause, RlcoError):
                 raise error.cause from None
             raise
         return stacked.flatten(0, 1)  # (workers, environments, T)
 
+    @contextmanager
+    def _impatient(self, iteration: int) -> Iterator[None]:
+        """Say so, once, where workers are long over a rollout: a hang is silent."""
+        wait = max(patience.PATIENCE, _SLOWER * self._longest)
+        timer = threading.Timer(wait, self._tell, (iteration, wait))
+        timer.daemon = True
+        timer.start()
+        began = time.monotonic()
+        try:
+            yield
+        finally:
+            timer.cancel()
+            timer.join()
+        self._longest = max(self._longest, time.monotonic() - began)
+
+    def _tell(self, iteration: int, waited: float) -> None:
+        workers = self._collector.remote_collectors
+        asked = [worker.__ray_call__.remote(_answer) for worker in workers]
+        answered, _ = import_ray().wait(asked, num_returns=len(asked), timeout=_ANSWER)
+        playing = [
+            process
+            for process, question in zip(self._processes, asked, strict=True)
+            if question not in answered
+        ]
+        if playing:
+            log.warning(
+                "rollout %d: not ended after %.3g s by %s; an environment hangs there "
+                "or is very slow. A process that is killed is started again, Ctrl-C "
+                "ends the run, and nothing that was saved is lost.",
+                iteration,
+                waited,
+                ", ".join(playing),
+            )
+
     def _start(self) -> None:
-        import_ray()
+        ray = import_ray()
         from torchrl.collectors.distributed import RayCollector
 
         count = self._workers.count
@@ -181,6 +228,12 @@ class RayRollouts:
             sync=True,
         )
         self._batches = iter(self._collector)
+        self._processes = ray.get(
+            [
+                worker.__ray_call__.remote(_process, index)
+                for index, worker in enumerate(self._collector.remote_collectors)
+            ]
+        )
 
     def _stop(self) -> None:
         self._collector.shutdown()
@@ -206,6 +259,14 @@ class WorkerCollector(Collector):
         finite.begin(iteration)
         self.env.base_env.start_at(episode)
         seed_everything(seed)
+
+
+def _answer(_worker: WorkerCollector) -> None:
+    """Answer: what plays a rollout does not."""
+
+
+def _process(_worker: WorkerCollector, index: int) -> str:
+    return f"worker {index} (process {os.getpid()} on {platform.node()})"
 
 
 def _worker_env(

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
+import time
 from collections.abc import Iterator
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import pytest
 import torch
 
-from rlco.collectors import RolloutCollector
+from rlco.collectors import RolloutCollector, patience, ray_rollouts
 from rlco.collectors.ray_rollouts import RayWorkers
 from rlco.envs import make_env
 from rlco.errors import ConfigError, NonFiniteError
@@ -91,6 +94,50 @@ def test_a_killed_worker_is_started_again_and_its_rollout_is_the_same(
     (record,) = caplog.records
     assert "a worker has ended" in record.message
     assert "rollout 3 is played again" in record.message
+
+
+def test_a_worker_that_hangs_is_told_by_its_process(
+    remote: RolloutCollector,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
+    tmp_path: Path,
+) -> None:
+    import ray
+
+    expected = remote.collect(6)
+    told = tmp_path / "told"
+
+    def hang(worker: Any) -> int:
+        env = worker.env.base_env
+        step = env._step
+
+        def until_told(tensordict: Any) -> Any:
+            while not told.exists():
+                time.sleep(0.01)
+            return step(tensordict)
+
+        env._step = until_told
+        return os.getpid()
+
+    class Heard(logging.Handler):
+        def emit(self, record: logging.LogRecord) -> None:
+            told.touch()
+
+    process = ray.get(workers_of(remote)[1].__ray_call__.remote(hang))
+    monkeypatch.setattr(patience, "PATIENCE", 0.1)
+    monkeypatch.setattr(ray_rollouts, "_SLOWER", 0)
+    handler = Heard()
+    patience.log.addHandler(handler)
+    try:
+        again = remote.collect(6)
+    finally:
+        patience.log.removeHandler(handler)
+    (record,) = caplog.records
+    assert f"rollout 6: not ended after 0.1 s by worker 1 (process {process} on" in (
+        record.message
+    )
+    assert "worker 0" not in record.message
+    assert torch.equal(again["action"], expected["action"])
 
 
 def test_what_is_not_finite_in_a_worker_is_said_as_in_this_process(
