@@ -107,7 +107,8 @@ def copy_compiled(site: Path) -> None:
     It keeps that beside a module, and takes it while the module's size and time are
     those that it was compiled from: a wheel's other files are compiled anew.
     """
-    for kept in (ROOT / "rlco").rglob("__pycache__/*.nb?"):
+    compiled = (ROOT / "rlco").rglob("__pycache__/*.nb?")
+    for kept in (*compiled, ROOT / "rlco" / "__pycache__" / "compiled_code.txt"):
         copied = site / kept.relative_to(ROOT)
         copied.parent.mkdir(exist_ok=True)
         shutil.copy2(kept, copied)
