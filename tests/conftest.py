@@ -16,6 +16,12 @@ from rlco.reporting.headless import choose_gl
 # Before torch and MuJoCo are imported: both read these once.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 choose_gl()
+# Each worker of pytest has a processor of its own, and so threads of its own: two that
+# step worlds in two threads each wait for each other at every step.
+_WORKER = os.environ.get("PYTEST_XDIST_WORKER")
+if _WORKER and hasattr(os, "sched_setaffinity"):
+    _processors = sorted(os.sched_getaffinity(0))
+    os.sched_setaffinity(0, {_processors[int(_WORKER[2:]) % len(_processors)]})
 
 
 # The dearest files in the order in which the workers begin them, so that none is left

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import shutil
 import subprocess
 import sys
@@ -138,22 +139,27 @@ def test_the_wheel_says_where_it_is(installed: Path, tmp_path: Path) -> None:
 def test_the_wheel_finds_what_the_example_lacks(
     installed: Path, tmp_path: Path
 ) -> None:
-    given = [f"model={EXAMPLE / 'arm.xml'}", f"data={EXAMPLE / 'logs'}"]
-    run(installed, tmp_path, "find_gap", *given, "out=gap_report")
+    (tmp_path / "logs").mkdir()
+    for log in (EXAMPLE / "logs").iterdir():  # their first four seconds
+        rows = log.read_text().splitlines(keepends=True)[:200]
+        (tmp_path / "logs" / log.name).write_text("".join(rows))
+    given = [f"model={EXAMPLE / 'arm.xml'}", "data=logs", "out=gap_report"]
+    run(installed, tmp_path, "find_gap", *given, "film=false")
     report = json.loads((tmp_path / "gap_report" / "report.json").read_text())
     found = {one["name"]: one["parameters"] for one in report["effects"]}
     assert report["verdict"] == "named"
     assert set(found) == {"command_delay", "payload"}
     assert found["command_delay"]["delay"]["value"] == pytest.approx(0.036, abs=5e-4)
-    assert found["payload"]["mass"]["value"] == pytest.approx(0.35, rel=0.02)
+    assert found["payload"]["mass"]["value"] == pytest.approx(0.35, rel=0.03)
     assert found["payload"]["x"]["value"] == pytest.approx(0.3, abs=0.01)
 
 
 def test_the_wheel_runs_the_quickstart(installed: Path, tmp_path: Path) -> None:
-    said = run(installed, tmp_path, "quickstart", "config=debug", "out=run")
+    given = ("quickstart", "config=debug", "methods=[sft]", "film=false", "out=run")
+    said = run(installed, tmp_path, *given)
     assert "report: run/report.html" in said
     origin = json.loads((tmp_path / "run" / "run.json").read_text())
-    assert origin["command"] == "rlco quickstart config=debug out=run"
+    assert origin["command"] == shlex.join(("rlco", *given))
 
 
 def rlco_version() -> str:

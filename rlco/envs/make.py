@@ -98,7 +98,8 @@ def make_env(
             domain's file holds beside its effects, and keeps it to its end. None: all
             episodes have the effects' own numbers.
         seed: Draws initial states, sensor noise and parameter sets.
-        threads: Threads of the native backend; by default one a core.
+        threads: Threads of the native backend; by default one for each
+            processor that this process may run on.
         exact: Let the native backend compute with robosuite's own linear algebra,
             about a third slower.
         on_divergence: What to do with an environment whose simulation diverges:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import itertools
-import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, wait
 from typing import Any
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from rlco.errors import RlcoError
 from rlco.physics.mj.libmujoco import address_of
 from rlco.physics.mj.model_struct import ModelCopy, array_fields, reserve_memory
+from rlco.physics.native.processors import available_processors
 from rlco.physics.native.world_checks import (
     check_threads,
     checked_delay,
@@ -113,7 +113,7 @@ class Worlds:
         self.restore_models(np.arange(num_envs))
         self._compiler: tuple[mujoco.MjModel, mujoco.MjData] | None = None
         self._compiled_arrays: set[str] = set()
-        self._threads = min(threads or os.cpu_count() or 1, num_envs)
+        self._threads = min(threads or available_processors(), num_envs)
         self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
 
     def run(self, kernel: Callable[..., None], *arguments: Any) -> None:

@@ -41,8 +41,8 @@ def scene(
 @pytest.mark.slow
 @pytest.mark.parametrize("domain", [SIM, STAND_IN, LOCKED], ids=lambda d: d.name)
 def test_the_expert_solves_95_percent_in_every_domain(domain: Domain) -> None:
-    stepper = NativeStepper(TASK, domain, num_envs=40)
-    state = stepper.reset([sample(np.random.default_rng([40, i])) for i in range(40)])
+    stepper = NativeStepper(TASK, domain, num_envs=20)
+    state = stepper.reset([sample(np.random.default_rng([40, i])) for i in range(20)])
     for _ in range(TASK.horizon):
         state = stepper.step(TASK.expert(state)[:, None]).at(np.s_[:, 1])
     assert TASK.success(state).mean() >= 0.95

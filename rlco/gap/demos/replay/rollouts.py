@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
@@ -23,6 +22,7 @@ from rlco.physics.native.kernels import (
     feature_count,
     forward_range,
 )
+from rlco.physics.native.processors import available_processors
 from rlco.physics.native.stepper import scene_of
 from rlco.physics.native.worlds import Worlds
 from rlco.physics.spec.control import Control, Integers
@@ -95,7 +95,7 @@ class Rollouts:
 
     def __init__(self, plants: Plants, threads: int | None = None) -> None:
         self.plants = plants
-        self._threads = ThreadPoolExecutor(threads or os.cpu_count() or 1)
+        self._threads = ThreadPoolExecutor(threads or available_processors())
         self._pools: dict[tuple[int, ...], _Pool] = {}
 
     def run(self, jobs: Sequence[Job]) -> list[Array | None]:

@@ -27,7 +27,7 @@ from rlco.gap.search.find_gap import additions, find_gap
 from rlco.gap.search.outside.free_joint import free_joint, without_small
 from rlco.gap.search.state import State
 from rlco.gap.search.steps.start import start
-from rlco.physics.effects import AppliedEffect
+from rlco.physics.effects import EFFECTS, AppliedEffect
 
 # Of 0.3 s, at these times of every recording [s]; half a sine [N m].
 KNOCKS, LONG, STRONG = (0.8, 2.6), 0.3, 3.0
@@ -107,7 +107,8 @@ def _ripple(model: mujoco.MjModel, data: mujoco.MjData) -> None:
 def test_an_effect_is_named_beside_a_torque_that_the_library_lacks() -> None:
     log = record(_weak, _ripple)
     problem = ArmRollouts(mujoco.MjSpec.from_string(TWO_LINKS), log, np.full(2, 4e-4))
-    verdict = find_gap(problem, exclude=("cogging", "hardening_spring"))
+    near = {"actuator_gain", "coulomb_friction", "viscous_damping", "torque_bias"}
+    verdict = find_gap(problem, exclude=tuple(set(EFFECTS) - near))
     (named,) = verdict.effects
     assert (named.name, named.target) == ("actuator_gain", "elbow")
     assert named.parameters["factor"].value == pytest.approx(0.6, rel=0.01)
