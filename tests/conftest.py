@@ -16,12 +16,10 @@ from rlco.reporting.headless import choose_gl
 # Before torch and MuJoCo are imported: both read these once.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 choose_gl()
-# Each worker of pytest has a processor of its own, and so threads of its own: two that
-# step worlds in two threads each wait for each other at every step.
-_WORKER = os.environ.get("PYTEST_XDIST_WORKER")
-if _WORKER and hasattr(os, "sched_setaffinity"):
-    _processors = sorted(os.sched_getaffinity(0))
-    os.sched_setaffinity(0, {_processors[int(_WORKER[2:]) % len(_processors)]})
+# Each worker of pytest steps worlds in one thread: two of two threads each would wait
+# for each other at every step. What a test starts may still use all processors.
+if os.environ.get("PYTEST_XDIST_WORKER"):
+    os.sched_getaffinity = lambda _process: {0}  # type: ignore[assignment]
 
 
 # The dearest files in the order in which the workers begin them, so that none is left

@@ -13,3 +13,4 @@ from rlco.files.reading import shown as shown
 from rlco.files.texts import read_json as read_json
 from rlco.files.texts import read_json_lines as read_json_lines
 from rlco.files.yaml_files import read_yaml as read_yaml
+from rlco.files.yaml_files import yaml_text as yaml_text

@@ -53,6 +53,29 @@ _Loader.yaml_implicit_resolvers = {
 _Loader.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+0123456789."))
 
 
+class _Dumper(yaml.SafeDumper):
+    """Quotes a text that the loader would read as a number, such as 1e3."""
+
+
+_Dumper.add_implicit_resolver("tag:yaml.org,2002:float", _FLOAT, list("-+0123456789."))
+
+
+def yaml_text(content: Any, **options: Any) -> str:
+    """Return plain values as YAML that `parse_yaml` reads again.
+
+    Args:
+        content: Of dicts, lists, texts, numbers, flags and None.
+        options: Of `yaml.dump`.
+
+    Example:
+        >>> print(yaml_text({"name": "1e3", "damping": 1e3}), end="")
+        name: '1e3'
+        damping: 1000.0
+    """
+    text: str = yaml.dump(content, Dumper=_Dumper, sort_keys=False, **options)
+    return text
+
+
 def read_yaml(
     path: Path,
     *,

@@ -15,12 +15,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
-import yaml
 from omegaconf import DictConfig, OmegaConf, SCMode
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
 
 from rlco.errors import ConfigError, UnknownNameError
-from rlco.files import shown
+from rlco.files import shown, yaml_text
 from rlco.runs.options import (
     AS_NOW,
     Option,
@@ -153,7 +152,7 @@ def to_plain(config: object) -> dict[str, Any]:
 def to_yaml(config: object, *, leave_out: Sequence[str] = ()) -> str:
     """Return a configuration as YAML that :func:`parse` reads back."""
     plain = {k: v for k, v in to_plain(config).items() if k not in leave_out}
-    return yaml.safe_dump(plain, sort_keys=False, allow_unicode=True)
+    return yaml_text(plain, allow_unicode=True)
 
 
 def _plain(value: Any) -> Any:

@@ -10,7 +10,16 @@ from pathlib import Path
 import pytest
 
 from rlco.errors import CheckpointError, DataError
-from rlco.files import Fields, read_json, read_json_lines, read_yaml, reading, shown
+from rlco.files import (
+    Fields,
+    read_json,
+    read_json_lines,
+    read_yaml,
+    reading,
+    shown,
+    yaml_text,
+)
+from rlco.files.yaml_files import parse_yaml
 
 
 @pytest.mark.parametrize(
@@ -158,3 +167,9 @@ def test_lines_of_a_message_are_one(tmp_path: Path) -> None:
         yaml_of(tmp_path, "a: [1, 2\nb: 3")
     assert "\n" not in str(caught.value)
     assert json.dumps(str(caught.value))
+
+
+@pytest.mark.parametrize("text", ["0E0", "1e3", "-1.0e6", "+1e-3", ".5", "1_0.0", "no"])
+def test_a_text_that_looks_like_a_number_is_written_as_a_text(text: str) -> None:
+    written = yaml_text({"target": text, text: [1e3, text]})
+    assert parse_yaml(written, "file") == {"target": text, text: [1000.0, text]}

@@ -12,10 +12,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from rlco.errors import DataError, suggest
-from rlco.files import read_yaml, shown
+from rlco.files import read_yaml, shown, yaml_text
 from rlco.files.fields import is_number
 from rlco.physics.effects.apply import library_effect
 from rlco.physics.effects.effect import AppliedEffect
@@ -115,7 +113,7 @@ def write_effects(
     if sample is not None:
         content["sample"] = dict(sample)
         head += _SAMPLE_HEAD
-    text = yaml.safe_dump(content, sort_keys=False, default_flow_style=None)
+    text = yaml_text(content, default_flow_style=None)
     Path(path).write_text(head + text, "utf-8")
 
 
