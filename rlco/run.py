@@ -17,7 +17,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
-from rlco.errors import NonFiniteError
+from rlco.errors import NonFiniteError, RlcoError
 from rlco.reporting.headless import choose_gl
 from rlco.runs import checkpoints, run_folder
 from rlco.runs.config import RunOptions, parse, to_yaml
@@ -80,7 +80,7 @@ def run_recipe[C](
         if loads not in sys.modules:
             log.info("loading %s", loads)
         main(config)
-    except Exception as error:
+    except (RlcoError, OSError, MemoryError, RuntimeError) as error:
         ended = ending(error)
         if ended is None:
             raise

@@ -16,10 +16,6 @@ from rlco.reporting.headless import choose_gl
 # Before torch and MuJoCo are imported: both read these once.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 choose_gl()
-# Each worker of pytest steps worlds in one thread: two of two threads each would wait
-# for each other at every step. What a test starts may still use all processors.
-if os.environ.get("PYTEST_XDIST_WORKER"):
-    os.sched_getaffinity = lambda _process: {0}  # type: ignore[assignment]
 
 
 # The dearest files in the order in which the workers begin them, so that none is left
@@ -47,6 +43,18 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     here = Path(__file__).parent
     order = {here / name: place for place, name in enumerate(DEAREST)}
     items.sort(key=lambda item: order.get(item.path, len(order)))
+
+
+@pytest.fixture(scope="session", autouse=True)
+def one_processor_a_worker() -> Iterator[None]:
+    """Step worlds in one thread: workers of two threads each wait for each other.
+
+    What a test starts has all processors all the same.
+    """
+    with pytest.MonkeyPatch.context() as patch:
+        if "PYTEST_XDIST_WORKER" in os.environ:
+            patch.setattr(os, "sched_getaffinity", lambda _: {0}, raising=False)
+        yield
 
 
 @pytest.fixture(scope="session")

@@ -37,7 +37,7 @@ log = logging.getLogger("rlco.collectors")
 #: TorchRL 0.14.1 collects nothing where no number of frames is given.
 _FRAMES = sys.maxsize
 
-#: A rollout that takes so many times as long as the longest before is told.
+#: A rollout that takes so many times as long as the longest before is reported.
 _SLOWER = 5
 #: In which a worker answers that plays nothing [s].
 _ANSWER = 5.0
@@ -180,7 +180,7 @@ class RayRollouts:
     def _impatient(self, iteration: int) -> Iterator[None]:
         """Say so, once, where workers are long over a rollout: a hang is silent."""
         wait = max(patience.PATIENCE, _SLOWER * self._longest)
-        timer = threading.Timer(wait, self._tell, (iteration, wait))
+        timer = threading.Timer(wait, self._report_unfinished, (iteration, wait))
         timer.daemon = True
         timer.start()
         began = time.monotonic()
@@ -191,7 +191,7 @@ class RayRollouts:
             timer.join()
         self._longest = max(self._longest, time.monotonic() - began)
 
-    def _tell(self, iteration: int, waited: float) -> None:
+    def _report_unfinished(self, iteration: int, waited: float) -> None:
         workers = self._collector.remote_collectors
         asked = [worker.__ray_call__.remote(_answer) for worker in workers]
         answered, _ = import_ray().wait(asked, num_returns=len(asked), timeout=_ANSWER)

@@ -96,7 +96,7 @@ def test_a_killed_worker_is_started_again_and_its_rollout_is_the_same(
     assert "rollout 3 is played again" in record.message
 
 
-def test_a_worker_that_hangs_is_told_by_its_process(
+def test_a_worker_that_hangs_is_reported_with_its_process(
     remote: RolloutCollector,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
@@ -105,23 +105,25 @@ def test_a_worker_that_hangs_is_told_by_its_process(
     import ray
 
     expected = remote.collect(6)
-    told = tmp_path / "told"
+    reported = tmp_path / "reported"
 
     def hang(worker: Any) -> int:
         env = worker.env.base_env
         step = env._step
 
-        def until_told(tensordict: Any) -> Any:
-            while not told.exists():
+        def until_reported(tensordict: Any) -> Any:
+            for _ in range(3000):  # half a minute, should nobody report it
+                if reported.exists():
+                    break
                 time.sleep(0.01)
             return step(tensordict)
 
-        env._step = until_told
+        env._step = until_reported
         return os.getpid()
 
     class Heard(logging.Handler):
         def emit(self, record: logging.LogRecord) -> None:
-            told.touch()
+            reported.touch()
 
     process = ray.get(workers_of(remote)[1].__ray_call__.remote(hang))
     monkeypatch.setattr(patience, "PATIENCE", 0.1)

@@ -39,7 +39,8 @@ class Worlds:
         control: The arm's controller.
         gains: Stiffness and damping of the controller, each shape (D,).
         num_envs: Number of worlds N.
-        threads: Python threads; by default one per core, at most `num_envs`.
+        threads: Python threads, at most `num_envs`; by default one for each processor
+            that this process may run on.
         longest_delay: Maximum delay in control steps, beyond that of `control`.
         controller_model: The controller's own model, where it is another.
         drawn: Parameter sets that `draw` may give to a world; None: none.
@@ -113,8 +114,8 @@ class Worlds:
         self.restore_models(np.arange(num_envs))
         self._compiler: tuple[mujoco.MjModel, mujoco.MjData] | None = None
         self._compiled_arrays: set[str] = set()
-        self._threads = min(threads or available_processors(), num_envs)
-        self._pool = ThreadPoolExecutor(self._threads) if self._threads > 1 else None
+        self.threads = min(threads or available_processors(), num_envs)
+        self._pool = ThreadPoolExecutor(self.threads) if self.threads > 1 else None
 
     def run(self, kernel: Callable[..., None], *arguments: Any) -> None:
         """Run a compiled loop over all worlds, in threads."""
@@ -158,7 +159,7 @@ class Worlds:
             kernel(0, count, *arguments)
             return
         # Several ranges per thread: worlds in contact take longer than others.
-        parts = min(count, 4 * self._threads)
+        parts = min(count, 4 * self.threads)
         edges = np.linspace(0, count, parts + 1).astype(int).tolist()
         jobs = [
             self._pool.submit(kernel, first, last, *arguments)

@@ -77,9 +77,29 @@ def draw_triangles(
         shown: What its pixels show, (2, height, width).
         box: First and last row, first and last column to draw [pixels], (4,).
     """
+    # As in `_fill_within`, written out: most triangles end at these lines, and a call
+    # for each made a frame take 1.6 times as long.
+    xs, ys = corners[0], corners[1]
+    top, bottom, left, right = box[0], box[1], box[2], box[3]
     for k in range(first, last):
         i, j, n = faces[k, 0], faces[k, 1], faces[k, 2]
-        _fill_within(i, j, n, corners, inverse, two_sided, k, geom, depth, shown, box)
+        ax, bx, cx = xs[i], xs[j], xs[n]
+        # Columns whose centre is between the outermost corners.
+        x0 = max((min(ax, bx, cx) + 127) >> 8, left)
+        x1 = min((max(ax, bx, cx) - 128) >> 8, right)
+        if x0 > x1:
+            continue
+        ay, by, cy = ys[i], ys[j], ys[n]
+        y0 = max((min(ay, by, cy) + 127) >> 8, top)
+        y1 = min((max(ay, by, cy) - 128) >> 8, bottom)
+        if y0 > y1:
+            continue
+        # Counter-clockwise seen from outside, with y down: negative in front.
+        area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+        if area > 0 and two_sided:
+            j, n, area = n, j, -area
+        if area < 0:
+            _fill(i, n, j, corners, inverse, x0, x1, y0, y1, k, geom, depth, shown)
 
 
 @inner
@@ -221,10 +241,12 @@ def draw_cut(
                 polygon[0, corner, axis] = seen[axis, faces[k, corner]]
         count = _cut(polygon, planes)
         for corner in range(count):
-            point = polygon[0, corner]
-            _project_one(
-                point[0], point[1], point[2], lens, corner, cut_corners, cut_inverse
+            x, y, z = (
+                polygon[0, corner, 0],
+                polygon[0, corner, 1],
+                polygon[0, corner, 2],
             )
+            _project_one(x, y, z, lens, corner, cut_corners, cut_inverse)
         for corner in range(1, count - 1):
             _fill_within(
                 0,
@@ -267,19 +289,19 @@ def _fill_within(
     box: Any,
 ) -> None:
     """Draw one triangle, its corners in any order, within a box of pixels."""
-    ax, bx, cx = corners[0, i], corners[0, j], corners[0, n]
-    # Columns whose centre is between the outermost corners.
-    x0 = max((min(ax, bx, cx) + 127) >> 8, box[2])
-    x1 = min((max(ax, bx, cx) - 128) >> 8, box[3])
-    if x0 > x1:
+    low_x = min(corners[0, i], corners[0, j], corners[0, n])
+    high_x = max(corners[0, i], corners[0, j], corners[0, n])
+    low_y = min(corners[1, i], corners[1, j], corners[1, n])
+    high_y = max(corners[1, i], corners[1, j], corners[1, n])
+    x0 = max((low_x + 127) >> 8, box[2])
+    x1 = min((high_x - 128) >> 8, box[3])
+    y0 = max((low_y + 127) >> 8, box[0])
+    y1 = min((high_y - 128) >> 8, box[1])
+    if x0 > x1 or y0 > y1:
         return
-    ay, by, cy = corners[1, i], corners[1, j], corners[1, n]
-    y0 = max((min(ay, by, cy) + 127) >> 8, box[0])
-    y1 = min((max(ay, by, cy) - 128) >> 8, box[1])
-    if y0 > y1:
-        return
-    # Counter-clockwise seen from outside, with y down: negative in front.
-    area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
+    area = (corners[0, j] - corners[0, i]) * (corners[1, n] - corners[1, i]) - (
+        corners[1, j] - corners[1, i]
+    ) * (corners[0, n] - corners[0, i])
     if area > 0 and two_sided:
         j, n, area = n, j, -area
     if area < 0:

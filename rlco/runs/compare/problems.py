@@ -45,13 +45,26 @@ class Problems:
             self.found.append(f"{what}: {error}; write {{{{ for a brace itself")
             return []
         allowed = list(allowed)
+        kind = "variable and no job above it"
+        self.named(found, allowed, what, kind, quoted="{{{}}}")
+        return [name for name in found if name in allowed]
+
+    def named(
+        self,
+        names: Iterable[str],
+        allowed: Sequence[str],
+        what: str,
+        kind: str,
+        *,
+        quoted: str = "{!r}",
+    ) -> None:
+        """Check that names are those of something of a kind."""
         self.found += [
-            f"{what} names {{{name}}}{suggest(name, allowed)}, which is no variable "
-            f"and no job above it; known: {', '.join(allowed)}"
-            for name in found
+            f"{what} names {quoted.format(name)}{suggest(name, allowed)}, which is no "
+            f"{kind}; known: {', '.join(allowed)}"
+            for name in names
             if name not in allowed
         ]
-        return [name for name in found if name in allowed]
 
     def values(
         self, given: Mapping[Any, Any], over: Mapping[str, tuple[Any, ...]], what: str

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rlco.errors import suggest
@@ -40,19 +40,14 @@ def read_table(
         for given in (content.get(name, []) for name in ("by", "mean", "domains"))
     )
     seed = str(content.get("seed", "seed"))
-    for name in [*by, seed]:
-        if name not in over:
-            problems.found.append(
-                f"table names {name!r}{suggest(name, over)}, which is no variable; "
-                f"known: {', '.join(over)}"
-            )
+    problems.named([*by, seed], list(over), "table", "variable")
     lines = tuple(
         _line(problems, label, content_of, jobs, over, {*by, seed})
         for label, content_of in problems.mapping(
             content.get("methods"), "table's methods"
         ).items()
     )
-    labels = {label for line in lines for label in labels_of(line.label, over)}
+    labels = sorted({one for line in lines for one in labels_of(line.label, over)})
     pairs = _differences(problems, content.get("differences") or [], labels)
     predictions = _predictions(problems, content.get("predictions") or [], labels)
     episodes = content.get("curve_episodes")
@@ -84,7 +79,7 @@ def read_table(
 def _published(
     problems: Problems,
     given: Any,
-    labels: Iterable[str],
+    labels: Sequence[str],
     over: Mapping[str, tuple[Any, ...]],
 ) -> tuple[Published, ...]:
     """Return what others reported."""
@@ -105,14 +100,14 @@ def _published(
                 "{VARIABLE: VALUE}, success: {METHOD: RATE}}, rates from 0 to 1"
             )
             continue
-        _labels(problems, map(str, success), labels, "table's published")
+        problems.named(map(str, success), labels, "table's published", "method")
         problems.values(one["at"], over, "table's published")
         found.append(Published(str(one["source"]), one["at"], success))
     return tuple(found)
 
 
 def _differences(
-    problems: Problems, given: Any, labels: Iterable[str]
+    problems: Problems, given: Any, labels: Sequence[str]
 ) -> tuple[tuple[str, str], ...]:
     """Return the pairs of labels that are subtracted."""
     found = []
@@ -121,12 +116,12 @@ def _differences(
             problems.found.append(f"table's difference {pair!r} is no pair [A, B]")
             continue
         found.append((str(pair[0]), str(pair[1])))
-        _labels(problems, found[-1], labels, "table's difference")
+        problems.named(found[-1], labels, "table's difference", "method")
     return tuple(found)
 
 
 def _predictions(
-    problems: Problems, given: Any, labels: Iterable[str]
+    problems: Problems, given: Any, labels: Sequence[str]
 ) -> tuple[Prediction, ...]:
     """Return the rank correlations that are computed."""
     found = []
@@ -140,22 +135,9 @@ def _predictions(
             )
             continue
         pair, third = (str(gain[0]), str(gain[1])), str(one["falls_with"])
-        _labels(problems, (*pair, third), labels, "table's prediction")
+        problems.named((*pair, third), labels, "table's prediction", "method")
         found.append(Prediction(pair, third, str(one["domain"])))
     return tuple(found)
-
-
-def _labels(
-    problems: Problems, named: Iterable[str], known: Iterable[str], what: str
-) -> None:
-    """Check the labels of methods against those of the table."""
-    known = sorted(known)
-    problems.found += [
-        f"{what} names {label!r}{suggest(label, known)}, which is no method; "
-        f"known: {', '.join(known)}"
-        for label in named
-        if label not in known
-    ]
 
 
 def _line(
