@@ -229,9 +229,8 @@ def forgetting(
             )
         count_axis(axes, "environment steps")
     panels[0].set_ylabel("drift of actions, held out")
-    panels[1].set_ylabel("success")
+    rate_axis(panels[1])
     panels[1].set_title(domain_label(domain), fontsize=9)
-    panels[1].set_ylim(-0.02, 1.02)
     legend(figure, [panels[0]])
     caption(
         figure,
