@@ -13,7 +13,7 @@ from rlco.physics.native.worlds import Worlds
 
 
 def test_an_exception_in_one_thread_is_raised_when_the_others_have_ended() -> None:
-    worlds: Any = SimpleNamespace(_pool=ThreadPoolExecutor(2), _threads=2)
+    worlds: Any = SimpleNamespace(_pool=ThreadPoolExecutor(2), threads=2)
     raised, stepped = threading.Event(), []
 
     def kernel(first: int, last: int) -> None:
