@@ -8,6 +8,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -185,8 +186,7 @@ def test_a_job_on_the_cluster_is_interrupted_as_by_ctrl_c(
         "try:\n    time.sleep(600)\nexcept KeyboardInterrupt:\n    print('stops')\n"
     )
     process = processes.start(["python", "-c", code], log, nice=0)
-    while not log.exists() or "waits" not in log.read_text():
-        assert processes.poll(process) is None
+    wait_for_a_line(processes, process, log)
     processes.stop(process)
     assert log.read_text() == "waits\nstops\n"
 
@@ -207,8 +207,7 @@ def test_an_interruption_that_is_lost_is_repeated_and_the_job_hears_one(
         "    time.sleep(1.5)\n    print('stops')\n"
     )
     process = processes.start(["python", "-c", code], log, nice=0)
-    while not log.exists() or "waits" not in log.read_text():
-        assert processes.poll(process) is None
+    wait_for_a_line(processes, process, log)
     monkeypatch.setattr(ray, "cancel", lossy)
     monkeypatch.setattr(ray_processes, "_AGAIN", 0.5)
     ended = processes.stop(process)
@@ -223,8 +222,7 @@ def test_a_job_whose_worker_is_killed_has_died(
     log = tmp_path / "log.txt"
     code = "import os, time; print(os.getppid(), flush=True); time.sleep(600)"
     process = processes.start(["python", "-c", code], log, nice=0)
-    while not log.exists() or not log.read_text().endswith("\n"):
-        assert processes.poll(process) is None
+    wait_for_a_line(processes, process, log)
     os.kill(int(log.read_text()), signal.SIGKILL)
     assert waited(processes, process).status == -signal.SIGKILL
 
@@ -275,5 +273,11 @@ def test_an_address_without_ray_is_refused(
 
 def waited(processes: RayProcesses, process: Any) -> Ended:
     while (ended := processes.poll(process)) is None:
-        pass
+        time.sleep(0.05)  # on two processors it needs this one's
     return ended
+
+
+def wait_for_a_line(processes: RayProcesses, process: Any, log: Path) -> None:
+    while not log.exists() or not log.read_text().endswith("\n"):
+        assert processes.poll(process) is None
+        time.sleep(0.05)
