@@ -154,6 +154,7 @@ def test_the_wheel_finds_what_the_example_lacks(
     assert found["payload"]["x"]["value"] == pytest.approx(0.3, abs=0.01)
 
 
+@pytest.mark.thorough
 def test_the_wheel_runs_the_quickstart(installed: Path, tmp_path: Path) -> None:
     given = ("quickstart", "config=debug", "methods=[sft]", "film=false", "out=run")
     said = run(installed, tmp_path, *given)

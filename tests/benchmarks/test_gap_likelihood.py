@@ -54,6 +54,7 @@ def test_evidence_against_nothing_is_what_the_effect_changes(
     assert distinguishable(found)
 
 
+@pytest.mark.thorough
 def test_a_value_that_is_a_little_off_is_no_evidence(case: tuple[Logged, Row]) -> None:
     logged, truth = case
     damping = truth["effects"][0]["parameters"]["damping"]
@@ -63,6 +64,7 @@ def test_a_value_that_is_a_little_off_is_no_evidence(case: tuple[Logged, Row]) -
     assert not distinguishable(evidence(logged, off, truth))
 
 
+@pytest.mark.thorough
 def test_another_effect_at_the_joint_is_refuted(case: tuple[Logged, Row]) -> None:
     logged, truth = case
     friction = [answer("coulomb_friction", "joint1", frictionloss=0.05)]

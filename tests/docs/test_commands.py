@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+from _pytest.mark import ParameterSet
 from arm_cases import write_arm
 from bench_runs import write_bench
 from commands import ROOT, Command, all_blocks
@@ -65,6 +66,7 @@ OPEN = {"quickstart": {"methods": "[rl_co]", "eval_domains": "[sim]"}}
 RUN_BY = {
     "quickstart.py": "recipes/test_chain.py",
     "quickstart.py image=dense": "recipes/test_images.py",
+    "close_loop.py": "recipes/test_close_loop.py",
     "find_gap.py model=docs/example/arm.xml data=docs/example/logs": "test_cli.py",
     "find_gap.py model=arm.xml data=logs": "test_cli.py",
     **dict.fromkeys(
@@ -81,6 +83,16 @@ RUN_BY = {
     "find_gap.py model=hobby_arm/arm.xml data=hobby_arm/recordings angles=degrees "
     "rename=gripper:-": "docs/test_so101_page.py",
 }
+# Blocks whose commands other tests run with other options: with `-m thorough` alone.
+THOROUGH = (
+    "uv run recipes/quickstart.py policy=token",
+    "uv run recipes/record_demos.py out=demos/sim episodes=200 image_size=64",
+    "uv run recipes/record_demos.py out=demos/sim128",
+    "uv run recipes/sft.py task=robosuite:Lift",
+    "uv run recipes/rl_co.py resume=outputs/mine",
+    "uv run recipes/find_gap.py model=robosuite:push_cube",
+    "uv run recipes/find_gap.py model=arm.xml data=logs out=report",
+)
 # What a page cannot run here: it needs a network, a robot, hours, or is run elsewhere.
 ELSEWHERE = {
     "uv run pytest": "this",
@@ -164,6 +176,11 @@ def test_what_another_test_runs_is_on_a_page_and_that_test_is_there() -> None:
         assert effective(Command("", f"uv run recipes/{command}")) in shown
         recipe = command.split(".py")[0]
         assert f'"{recipe}"' in (ROOT / "tests" / tests).read_text()
+
+
+def test_what_is_left_to_thorough_runs_is_on_a_page() -> None:
+    names = [block[0].text for block in blocks_to_run()]
+    assert all(any(one.startswith(left) for one in names) for left in THOROUGH)
 
 
 def test_every_other_command_is_run_somewhere() -> None:
@@ -336,10 +353,14 @@ def with_less(recipe: str, options: list[str]) -> list[str]:
     return [f"{name}={value}" for name, value in asked.items()]
 
 
-BLOCKS = blocks_to_run()
+def as_case(block: list[Command]) -> ParameterSet:
+    """Return a block with its first command for its name."""
+    name = block[0].text
+    marks = [pytest.mark.thorough] if name.startswith(THOROUGH) else []
+    return pytest.param(block, id=name, marks=marks)
 
 
-@pytest.mark.parametrize("block", BLOCKS, ids=[b[0].text for b in BLOCKS])
+@pytest.mark.parametrize("block", [as_case(block) for block in blocks_to_run()])
 def test_a_block_of_commands_runs(
     block: list[Command],
     workspace: Path,

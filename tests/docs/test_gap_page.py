@@ -13,6 +13,7 @@ from rlco.physics.effects import AppliedEffect
 pytestmark = pytest.mark.slow
 
 
+@pytest.mark.thorough
 def test_the_programs_of_the_page_name_what_was_hidden(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -107,7 +107,7 @@ def test_what_is_hidden_is_all_that_is_wrong(folder: Path, tmp_path: Path) -> No
     assert (after < 0.8e-3).all()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_pages_search_names_what_is_hidden_and_no_more(
     folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -34,7 +34,7 @@ def errors(model: Path, logs: Path) -> np.ndarray:
     return np.sqrt(np.bincount(recordings, rows**2) / np.bincount(recordings))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_every_recording_of_the_known_arm_agrees_with_its_model(
     model: Path, tmp_path: Path
 ) -> None:

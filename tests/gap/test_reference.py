@@ -63,6 +63,7 @@ def named(verdict: Verdict) -> list[tuple[str, str | None]]:
     return [(one.name, one.target) for one in verdict.effects]
 
 
+@pytest.mark.thorough
 def test_a_load_is_named_though_all_numbers_of_the_model_are_wrong(
     arm: LoadedModel, before: Log
 ) -> None:
@@ -92,6 +93,7 @@ def test_a_change_outside_the_library_is_drawn_at_its_joint(
     assert np.std(torque) == pytest.approx(np.std(pushed), rel=0.3)
 
 
+@pytest.mark.thorough
 def test_a_factor_of_a_torque_is_named_and_not_converted(
     arm: LoadedModel, before: Log
 ) -> None:
@@ -115,6 +117,7 @@ def rubbing_elbow(model: mujoco.MjModel) -> None:
     model.dof_frictionloss[1] += 0.06
 
 
+@pytest.mark.thorough
 def test_a_friction_that_was_not_there_gets_no_other_beside_it(
     arm: LoadedModel,
 ) -> None:
@@ -152,7 +155,9 @@ def test_long_rests_before_do_not_make_what_is_not_known_small(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize(
+    "seed", [0, *(pytest.param(seed, marks=pytest.mark.thorough) for seed in (1, 2))]
+)
 def test_nothing_is_named_where_nothing_changed(arm: LoadedModel, seed: int) -> None:
     first, second = (
         record_torques(wrong_everywhere, seed=100 + 2 * seed + late)
@@ -252,7 +257,7 @@ def test_an_interruption_of_the_calibration_is_told_as_nothing_searched(
     assert note.startswith("Nothing was searched")
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_delay_is_named_in_positions_and_in_nothing_else(tmp_path: Path) -> None:
     path = tmp_path / "arm.xml"
     path.write_text(TWO_LINKS)

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from rlco.physics.native.stepper import NativeStepper
-from rlco.physics.spec.domain import Domain
+from rlco.physics.spec.domain import LOCKED, SIM, STAND_IN, Domain
 from rlco.physics.spec.task import SceneState, Task
+
+DOMAINS = [
+    STAND_IN,  # the hardest that demonstrations are from
+    *(pytest.param(one, marks=pytest.mark.thorough) for one in (SIM, LOCKED)),
+]
 
 
 def solved(

@@ -17,7 +17,7 @@ SEEN = (BOTH, "image=conv", "image_size=64", "use_environment_state=false")
 ONE = [o for o in RL_CO if not o.startswith(("iterations", "critic_iterations"))]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_two_cameras_go_through_both_stages(tmp_path: Path) -> None:
     demos, sft, rl = (tmp_path / name for name in ("demos", "sft", "rl"))
     recorded = [BOTH, "image_size=64", "look=random", "episodes=1"]

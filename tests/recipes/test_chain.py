@@ -246,7 +246,7 @@ def whole(
     return folder
 
 
-@pytest.mark.parametrize("killed_at", [2, 4])
+@pytest.mark.parametrize("killed_at", [pytest.param(2, marks=pytest.mark.thorough), 4])
 def test_a_killed_run_keeps_the_same_best_policy(
     inputs: dict[str, list[str]],
     whole: Path,
@@ -320,6 +320,7 @@ def test_rows_of_a_seed_are_of_the_same_initial_states(
     assert sft["states_seed"] == final_states_seed(sft["seed"])
 
 
+@pytest.mark.thorough
 def test_the_last_evaluation_may_be_longer_than_those_of_the_curve(
     inputs: dict[str, list[str]], tmp_path: Path
 ) -> None:

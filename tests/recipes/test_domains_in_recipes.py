@@ -117,6 +117,7 @@ def test_stage_one_is_evaluated_in_files(
     assert [r["domain"] for r in rows(tmp_path / "sft")] == ["damped", "stand_in"]
 
 
+@pytest.mark.thorough
 def test_quickstart_trains_and_compares_in_files(damped: Path, tmp_path: Path) -> None:
     folder = tmp_path / "quick"
     domains = [f"train_domain={damped}", f"eval_domains=[{damped},stand_in]"]
@@ -142,6 +143,7 @@ def test_quickstart_trains_and_compares_in_files(damped: Path, tmp_path: Path) -
         assert (alone / name).read_bytes() == (stage / name).read_bytes(), name
 
 
+@pytest.mark.thorough
 def test_a_lerobot_checkpoint_is_co_trained_in_a_file(
     damped: Path, tmp_path: Path, rendering: None
 ) -> None:

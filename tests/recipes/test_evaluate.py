@@ -41,6 +41,7 @@ def test_the_films_show_the_effects(assets: Assets, tmp_path: Path) -> None:
     assert np.abs(other - plain)[-1].mean() > 3.0
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("rendering")
 def test_the_films_are_stepped_by_the_backend(
     assets: Assets, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

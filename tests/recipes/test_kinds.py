@@ -32,8 +32,11 @@ def stage_one(assets: Assets, folder: Path, *options: str) -> Path:
     ("kind", "options", "stage_two"),
     [
         ("token", TOKEN, ["critic=head"]),
-        ("token", TOKEN, ["advantage=mc", "group_size=2"]),
-        ("flow", FLOW, ["critic_hidden=[16]"]),
+        pytest.param(
+            *("token", TOKEN, ["advantage=mc", "group_size=2"]),
+            marks=pytest.mark.thorough,
+        ),
+        pytest.param("flow", FLOW, ["critic_hidden=[16]"], marks=pytest.mark.thorough),
         ("flow", (*FLOW, "flow.method=fpo"), ["advantage=mc", "group_size=2"]),
     ],
 )

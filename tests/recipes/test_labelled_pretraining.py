@@ -124,7 +124,10 @@ def test_a_run_that_was_stopped_after_pretraining_goes_on_from_it(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("more", ["image_fixed=true", "image_lr=0.1"])
+@pytest.mark.parametrize(
+    "more",
+    ["image_fixed=true", pytest.param("image_lr=0.1", marks=pytest.mark.thorough)],
+)
 def test_stage_two_from_images_starts_at_ratio_one(
     drawn: Drawn, tmp_path: Path, more: str
 ) -> None:

@@ -18,7 +18,7 @@ from rlco.physics.tasks.make_task import make_task
 from rlco.policies.tiny.smolvla import write_tiny_smolvla
 from rlco.runs.metrics import read_metrics
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.thorough
 
 RECIPE = "lerobot_co_train"
 WEIGHTS = "lerobot/checkpoints/last/pretrained_model/model.safetensors"

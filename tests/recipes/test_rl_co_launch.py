@@ -107,6 +107,7 @@ def test_ranks_resume_to_what_they_would_have_come_to(
         assert cut.read_bytes() == whole.read_bytes(), name
 
 
+@pytest.mark.thorough
 def test_torchrun_itself_starts_the_same_run(
     learned: tuple[Found, Path], assets: Assets, tmp_path: Path
 ) -> None:
@@ -191,6 +192,7 @@ def test_a_job_on_the_cluster_is_interrupted_as_by_ctrl_c(
     assert log.read_text() == "waits\nstops\n"
 
 
+@pytest.mark.thorough
 def test_an_interruption_that_is_lost_is_repeated_and_the_job_hears_one(
     processes: RayProcesses, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

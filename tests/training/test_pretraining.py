@@ -60,7 +60,9 @@ def policy_of(kind: str) -> Any:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("augmentation", [None, SHIFT])
+@pytest.mark.parametrize(
+    "augmentation", [pytest.param(None, marks=pytest.mark.thorough), SHIFT]
+)
 def test_positions_relative_to_the_tool_are_read_from_new_images(
     augmentation: Augmentation | None,
 ) -> None:

@@ -73,7 +73,7 @@ def test_what_was_lacking_before_is_known_of_later_demonstrations(
     assert lacked < 1.3 * without.before.unknown[channel]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_what_changed_is_named_and_what_was_there_before_is_not(before: Log) -> None:
     slippery = hidden_mass(4.0) | hidden_friction(0.15)
     prepared = prepare(
@@ -95,6 +95,7 @@ def test_what_changed_is_named_and_what_was_there_before_is_not(before: Log) -> 
     assert friction == pytest.approx(0.15, rel=0.15)
 
 
+@pytest.mark.thorough
 def test_nothing_is_named_where_nothing_changed(
     nominal: TaskSpaceProblem, before: Log
 ) -> None:
@@ -143,6 +144,7 @@ def test_an_axis_that_changed_is_not_turned_back(
         np.testing.assert_array_equal(one.command, other.command)
 
 
+@pytest.mark.thorough
 def test_an_interruption_before_is_nothing_searched(before: Log) -> None:
     def stop(said: str, part: float) -> None:
         raise KeyboardInterrupt

@@ -419,7 +419,7 @@ def test_a_real_pandas_wrist_is_explained_by_coulomb_friction() -> None:
     np.testing.assert_allclose(size[1], [0.20, 0.10], atol=0.03)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.skipif(not PANDA.is_dir(), reason=f"{PANDA} is not there")
 def test_a_real_pandas_wrist_friction_is_named_beside_what_stays_unexplained() -> None:
     spec, log = panda()

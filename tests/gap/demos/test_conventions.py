@@ -271,7 +271,7 @@ def test_replays_that_diverge_fit_no_size(monkeypatch: pytest.MonkeyPatch) -> No
     assert found.error == np.inf
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_robot_that_a_damping_slows_has_units_of_the_same_size() -> None:
     # Its tool moves by 0.6 of what is commanded, and actions of 0.6 of their size are
     # replayed better; but that leaves centimetres, which the damping explains.

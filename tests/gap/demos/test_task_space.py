@@ -186,6 +186,7 @@ def test_a_hidden_mass_is_found_and_free_motion_is_clean() -> None:
     assert abs(explained[~late].sum()) < 0.02 * explained[late].sum()
 
 
+@pytest.mark.thorough
 def test_a_hidden_friction_is_found() -> None:
     values, squares = [0.09, 0.18, 0.3, 0.6], np.zeros(4)
     # Four episodes leave 0.18 and 0.3 level: a contact that goes another way decides,
@@ -198,6 +199,7 @@ def test_a_hidden_friction_is_found() -> None:
     assert found[3] > 1.15 * found[1]
 
 
+@pytest.mark.thorough
 def test_a_hidden_damping_is_fitted_to_its_size_across_contacts() -> None:
     joint, hidden = "robot0_joint2", 16.0
     problem = problem_of(record(hidden_damping(joint, hidden))[0])
@@ -207,6 +209,7 @@ def test_a_hidden_damping_is_fitted_to_its_size_across_contacts() -> None:
     assert found.effects[0].values[0] == pytest.approx(hidden, rel=0.02)
 
 
+@pytest.mark.thorough
 def test_late_commands_and_a_wrong_encoder_are_told_apart_from_none() -> None:
     hidden = (
         AppliedEffect("command_delay", None, {"delay": 0.07}),

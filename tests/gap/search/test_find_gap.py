@@ -84,7 +84,7 @@ def test_the_gap_shrinks_to_the_noise_on_recordings_that_were_not_fitted() -> No
     assert gap.after_heldout == pytest.approx(gap.noise_floor, rel=0.1)
 
 
-@pytest.mark.parametrize("hide", [None, _two])
+@pytest.mark.parametrize("hide", [None, pytest.param(_two, marks=pytest.mark.thorough)])
 def test_a_slow_controller_is_found_alone_and_beside_others(hide: Hide | None) -> None:
     """Only the right period fits: one step of 4 ms away is worse than none."""
     held = np.zeros(2)
@@ -153,6 +153,7 @@ def test_an_interruption_of_its_end_loses_nothing_of_a_search(
     assert len(calls) == 2
 
 
+@pytest.mark.thorough
 def test_a_motor_that_can_hardly_hold_its_arm_is_named_alone() -> None:
     def hide(model: mujoco.MjModel) -> None:
         _spread(model)  # which a falling arm shows ten times as much as a held one

@@ -91,6 +91,7 @@ def _told_earlier(recording: Recording, frames: int) -> Recording:
     )
 
 
+@pytest.mark.thorough
 def test_a_slow_motion_leaves_a_class_that_holds_what_was_hidden() -> None:
     log = record(_viscous, motion=_slow, xml=TURNTABLES)
     verdict = _verdict(log, TURNTABLES)
@@ -158,6 +159,7 @@ def test_what_ran_to_its_bounds_leaves_a_clear_gap_unexplained() -> None:
     )
 
 
+@pytest.mark.thorough
 def test_intervals_are_as_wide_as_the_spread_where_an_arm_hardly_holds() -> None:
     log = record(xml=TURNTABLES)
     late = tuple(_told_earlier(one, frames=2) for one in log.recordings)
@@ -191,6 +193,7 @@ def test_the_share_that_stays_is_of_the_held_out_mean_square_above_the_noise() -
     )
 
 
+@pytest.mark.thorough
 def test_names_that_leave_much_more_than_noise_are_doubted() -> None:
     """As where the very effect is none that the search knows."""
 
@@ -212,6 +215,7 @@ def test_a_robot_at_rest_shows_nothing_and_is_said_to_show_nothing() -> None:
     assert verdict.verdict == "not_identifiable"
 
 
+@pytest.mark.thorough
 def test_what_only_the_fitted_recordings_show_is_no_improvement() -> None:
     verdict = _verdict(_only_in(_dry))
     assert verdict.verdict == "no_improvement"

@@ -25,8 +25,9 @@ from rlco.physics.spec.names import TASK_NAMES
 pytestmark = pytest.mark.slow
 
 ROBOSUITE = ("Lift", "Stack", "Door", "NutAssembly")
-PLACES = [(n, d) for d in (SIM, STAND_IN, LOCKED) for n in TASK_NAMES]
+PLACES = [(n, d) for d in (SIM, STAND_IN) for n in TASK_NAMES]
 PLACES += [(n, SIM) for n in ROBOSUITE]
+MORE = [(n, LOCKED) for n in TASK_NAMES]
 # What draws actions, how many episodes are played, and how many steps of each.
 MOTIONS = {"random": (random_action, 2, 30), "contact": (contact_action, 1, 70)}
 
@@ -49,7 +50,9 @@ class Played:
 
 
 @pytest.fixture(
-    scope="module", params=PLACES, ids=lambda place: f"{place[0]}-{place[1].name}"
+    scope="module",
+    params=[*PLACES, *(pytest.param(one, marks=pytest.mark.thorough) for one in MORE)],
+    ids=lambda place: f"{place[0]}-{place[1].name}",
 )
 def pair(request: pytest.FixtureRequest) -> Pair:
     name, domain = request.param

@@ -151,6 +151,8 @@ def test_an_instruction_that_no_start_has_is_not_waited_for() -> None:
         TASK,
         instructions=("push the red cube onto its mark", "put it in"),
         sample=start(instruction_id=lambda s: 0),
+        horizon=2,
+        success=lambda state: np.ones(state.tool_position.shape[:-1], dtype=bool),
     )
     with pytest.raises(RlcoError, match=r"none of 40 .* instruction 1, 'put it in'"):
         list(demonstrate(one, "sim", episodes=4, seed=0))

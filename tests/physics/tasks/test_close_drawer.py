@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from drawer_cases import drawer_scene
-from expert_cases import expert_slopes, solved
+from expert_cases import DOMAINS, expert_slopes, solved
 
-from rlco.physics.spec.domain import LOCKED, SIM, STAND_IN, Domain
+from rlco.physics.spec.domain import STAND_IN, Domain
 from rlco.physics.tasks.close_drawer import TASK, sample
 
 pytestmark = pytest.mark.slow
@@ -16,7 +16,7 @@ pytestmark = pytest.mark.slow
 TOUCHING = {"outside": 0.017, "side": 0.0, "above": 0.0}
 
 
-@pytest.mark.parametrize("domain", [SIM, STAND_IN, LOCKED], ids=lambda d: d.name)
+@pytest.mark.parametrize("domain", DOMAINS, ids=lambda d: d.name)
 def test_the_expert_closes_95_percent_in_every_domain(domain: Domain) -> None:
     assert solved(TASK, domain, 20).mean() >= 0.95
 
@@ -25,6 +25,7 @@ def test_a_training_episode_is_long_enough_in_the_slower_domain() -> None:
     assert solved(TASK, STAND_IN, 20, steps=TASK.training_horizon).mean() >= 0.95
 
 
+@pytest.mark.thorough
 def test_the_expert_copes_with_a_teleoperators_noise() -> None:
     assert solved(TASK, STAND_IN, 20, noise=0.1).mean() >= 0.9
 

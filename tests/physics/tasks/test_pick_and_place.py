@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from expert_cases import expert_slopes, solved
+from expert_cases import DOMAINS, expert_slopes, solved
 
 from rlco.physics.native.stepper import NativeStepper
-from rlco.physics.spec.domain import LOCKED, SIM, STAND_IN, Domain
+from rlco.physics.spec.domain import SIM, STAND_IN, Domain
 from rlco.physics.spec.robot import PANDA
 from rlco.physics.spec.task import SceneState
 from rlco.physics.tasks.pick_and_place import SHAPES, TASK, sample
@@ -41,7 +41,7 @@ def scene(
     )
 
 
-@pytest.mark.parametrize("domain", [SIM, STAND_IN, LOCKED], ids=lambda d: d.name)
+@pytest.mark.parametrize("domain", DOMAINS, ids=lambda d: d.name)
 def test_the_expert_solves_95_percent_in_every_domain(domain: Domain) -> None:
     assert solved(TASK, domain, 20).mean() >= 0.95
 
@@ -50,6 +50,7 @@ def test_a_training_episode_is_long_enough_in_the_slower_domain() -> None:
     assert solved(TASK, STAND_IN, 20, steps=TASK.training_horizon).mean() >= 0.95
 
 
+@pytest.mark.thorough
 def test_the_expert_copes_with_a_teleoperators_noise() -> None:
     assert solved(TASK, STAND_IN, 20, noise=0.1).mean() >= 0.9
 

@@ -234,7 +234,7 @@ def test_an_effect_is_named_at_the_joint_whose_encoder_errs(
     np.testing.assert_allclose(drawn, _error(position), atol=0.1 * AMPLITUDE)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_constant_torque_is_named_at_the_joint_whose_encoder_errs() -> None:
     def act(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         _eccentric(model, data)
@@ -249,7 +249,7 @@ def test_a_constant_torque_is_named_at_the_joint_whose_encoder_errs() -> None:
     assert found.free_form.of_encoder
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("hidden", ["viscous_damping", "torque_bias"])
 def test_an_effect_is_named_at_the_joint_that_is_knocked(hidden: str) -> None:
     def hide(model: mujoco.MjModel) -> None:

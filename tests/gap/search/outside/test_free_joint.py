@@ -103,7 +103,7 @@ def _ripple(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     data.qfrc_applied[0] = 0.5 * np.sin(14.0 * data.qpos[0])
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_an_effect_is_named_beside_a_torque_that_the_library_lacks() -> None:
     log = record(_weak, _ripple)
     problem = ArmRollouts(mujoco.MjSpec.from_string(TWO_LINKS), log, np.full(2, 4e-4))
@@ -216,6 +216,7 @@ def test_torques_from_outside_act_at_one_joint() -> None:
         problem.with_torques("elbow", {0: np.ones(3)})
 
 
+@pytest.mark.thorough
 def test_a_robot_that_runs_away_with_the_torque_alone_is_not_searched(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

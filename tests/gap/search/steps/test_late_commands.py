@@ -158,7 +158,7 @@ def test_a_constant_delay_stays_one() -> None:
     assert constant.name == "command_delay"
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_pushes_at_each_joint_are_not_taken_for_late_commands() -> None:
     problem = _problem(_pushes)
     state = start(problem, exclude=_others(problem))
@@ -168,7 +168,7 @@ def test_pushes_at_each_joint_are_not_taken_for_late_commands() -> None:
     assert last_state(late_commands(state, additions)) is state
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_slow_controller_that_leaves_little_is_not_taken_for_late_commands() -> None:
     log = record(None, _late(MEAN, SPREAD), xml=TURNTABLES, motion=_waves)
     # So much noise that times of their own hardly show any more.
@@ -218,6 +218,7 @@ def _found_and_true(
     return np.concatenate(estimates), np.concatenate(truth)
 
 
+@pytest.mark.thorough
 def test_times_are_found_that_move_joints_by_more_than_the_first_order(
     limited: Lateness,
 ) -> None:

@@ -67,6 +67,7 @@ def test_an_arm_that_is_not_more_sensitive_keeps_its_weights() -> None:
     assert again.sensitivity == pytest.approx(1.0)
 
 
+@pytest.mark.thorough
 def test_a_load_is_certain_though_the_unit_of_torques_is_not(tmp_path: Path) -> None:
     """All masses and the torque's factor may grow together: so may the load's torque.
 

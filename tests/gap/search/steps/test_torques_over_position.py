@@ -55,6 +55,7 @@ def test_cogging_beside_friction_is_named() -> None:
     assert found.free_form is None
 
 
+@pytest.mark.thorough
 def test_a_hardening_spring_is_named() -> None:
     found = _found(_hardens)
     assert _named(found) == {("hardening_spring", "elbow")}
@@ -76,6 +77,7 @@ def test_what_is_outside_is_told_at_its_joint_and_drawn() -> None:
     np.testing.assert_allclose(torque, hidden, atol=0.2 * np.abs(hidden).max())
 
 
+@pytest.mark.thorough
 def test_right_names_raise_no_doubt() -> None:
     def damped(model: mujoco.MjModel) -> None:
         model.dof_damping[1] += 0.08
