@@ -67,6 +67,7 @@ def _short_of_it(state: SceneState) -> Array:
 SHORT = replace(reach.TASK, name="short", horizon=40, expert=_short_of_it)
 
 
+@pytest.mark.thorough
 def test_an_expert_that_stops_short_is_filmed_and_told_to_aim_beyond(
     tmp_path: Path, rendering: None
 ) -> None:

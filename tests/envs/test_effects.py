@@ -136,6 +136,7 @@ def test_a_file_gives_what_its_list_gives(tmp_path: Path) -> None:
     np.testing.assert_array_equal(listed.data[0].qpos, filed.data[0].qpos)
 
 
+@pytest.mark.thorough
 def test_robosuites_own_tasks_take_effects_in_both_backends() -> None:
     names = ("load_friction", "payload", "command_delay", "control_rate", "drive_loss")
     effects = given_effects([EFFECTS[name] for name in names])

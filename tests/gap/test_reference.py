@@ -80,6 +80,7 @@ def pushed_along_its_path(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     data.qfrc_applied[1] = 0.1 * np.sin(3.0 * data.qpos[1])
 
 
+@pytest.mark.thorough
 def test_a_change_outside_the_library_is_drawn_at_its_joint(
     arm: LoadedModel, before: Log
 ) -> None:
@@ -144,6 +145,7 @@ def a_move_and_a_long_rest(random: np.random.Generator) -> Array:
     return np.concatenate([moves, np.repeat(moves[-1:], 325, axis=0)])
 
 
+@pytest.mark.thorough
 def test_long_rests_before_do_not_make_what_is_not_known_small(
     arm: LoadedModel,
 ) -> None:

@@ -200,6 +200,7 @@ def test_demonstrations_are_recorded_and_policies_evaluated_in_locked(
 # -- Effects of one's own ----------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_an_effect_of_ones_own_goes_through_the_chain(
     dragged: Path, tmp_path: Path
 ) -> None:

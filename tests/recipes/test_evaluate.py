@@ -68,6 +68,7 @@ TASK = replace(FAST, name="slow", control_frequency=10)
 """
 
 
+@pytest.mark.thorough
 @pytest.mark.usefixtures("rendering")
 def test_a_film_is_of_the_tasks_rate_and_may_have_an_odd_size(
     assets: Assets, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -54,7 +54,7 @@ def size(problem: TaskSpaceProblem, noise: np.ndarray) -> float:
     return float(np.sqrt(np.mean(scaled[rows] ** 2)))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_what_was_lacking_before_is_known_of_later_demonstrations(
     nominal: TaskSpaceProblem, before: Log
 ) -> None:

@@ -161,7 +161,7 @@ def jumping(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     return write(folder, recorded("before", damping=3.0, late=3))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_more_channels_do_not_make_the_answer_worse(
     jumping: tuple[Path, Path], tmp_path: Path
 ) -> None:
@@ -229,7 +229,7 @@ def test_a_name_by_torques_that_jump_is_given_with_a_warning(
     assert "do not act on this: Effort of elbow looks" in box
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_both_are_searched_where_that_is_asked_for(tmp_path: Path) -> None:
     case = write(tmp_path / "case", recorded("mean", damping=3.0))
     finding = run_gap(*case, threads=1, exclude=set(EFFECTS) - LIBRARY, compare="both")

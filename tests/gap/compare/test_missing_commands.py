@@ -174,6 +174,7 @@ def test_under_a_delay_guesses_are_freed_anew() -> None:
     assert again.setting.guessed is state.setting.guessed
 
 
+@pytest.mark.thorough
 def test_a_delay_is_named_though_commands_are_lost() -> None:
     verdict = find_gap(
         arm(decided(lossy(with_commands(record(motion=late), commands))))

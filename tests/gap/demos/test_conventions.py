@@ -252,7 +252,7 @@ def test_a_robot_with_friction_and_payload_still_agrees() -> None:
     assert found.error > 3e-3
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_unit_of_a_size_of_its_own_is_fitted() -> None:
     found = check(with_actions(in_parts_of_ten_centimetres))
     assert found.changes == (

@@ -103,6 +103,7 @@ def test_a_slow_motion_leaves_a_class_that_holds_what_was_hidden() -> None:
     assert len(members) > 1
 
 
+@pytest.mark.thorough
 def test_rivals_are_looked_for_where_all_first_looks_were_forgotten() -> None:
     """As after the last effect, where the spread had to be looked at again."""
     log = record(_viscous, motion=_slow, xml=TURNTABLES)
@@ -176,6 +177,7 @@ def test_intervals_are_as_wide_as_the_spread_where_an_arm_hardly_holds() -> None
     assert half_width(weak) == pytest.approx(NORMAL * 0.03 * 2 / FPS, rel=0.05)
 
 
+@pytest.mark.thorough
 def test_the_share_that_stays_is_of_the_held_out_mean_square_above_the_noise() -> None:
     def hide(model: mujoco.MjModel) -> None:
         model.dof_frictionloss[1] = 0.2

@@ -74,6 +74,7 @@ def test_over_time_it_comes_and_goes_with_the_motion(doubted: FreeForm) -> None:
     assert torque.min() < -0.02 < 0.02 < torque.max()
 
 
+@pytest.mark.thorough
 def test_an_encoder_that_reads_wrong_is_told_at_its_joint_and_drawn() -> None:
     found = _found(_damped, _driven_to_what_is_read, misread=True)
     assert ("viscous_damping", "elbow") in {(e.name, e.target) for e in found.effects}
@@ -94,6 +95,7 @@ def test_an_encoder_that_reads_wrong_is_told_at_its_joint_and_drawn() -> None:
     assert panel.get_ylabel() == "error of the encoder [rad]"
 
 
+@pytest.mark.thorough
 def test_right_names_raise_no_doubt() -> None:
     found = _found(_damped, None)
     assert [(e.name, e.target) for e in found.effects] == [("viscous_damping", "elbow")]

@@ -126,7 +126,7 @@ def test_late_commands_are_named_with_the_distribution_of_their_times() -> None:
     assert "late by the mean" in found.remarks[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_time_of_each_command_is_estimated() -> None:
     problem = _problem(_late(MEAN, SPREAD))
     state = start(problem, exclude=_others(problem))
@@ -227,6 +227,7 @@ def test_times_are_found_that_move_joints_by_more_than_the_first_order(
     assert (found - true).std() < 0.5 * true.std()
 
 
+@pytest.mark.thorough
 def test_times_are_kept_as_they_differ_from_their_mean(limited: Lateness) -> None:
     # The search then finds the mean, as a constant delay: it must not count twice.
     assert abs(np.concatenate(limited.late).mean()) < 0.002

@@ -27,6 +27,7 @@ def _weak(model: mujoco.MjModel) -> None:
     model.actuator_biasprm[1, 1] *= 0.6
 
 
+@pytest.mark.thorough
 def test_what_explains_half_of_an_unexplained_gap_is_the_first_of_the_closest() -> None:
     problem = ArmRollouts(
         mujoco.MjSpec.from_string(TWO_LINKS), record(_weak, _ripple), np.full(2, 4e-4)

@@ -46,6 +46,7 @@ def _named(verdict: Verdict) -> set[tuple[str, str | None]]:
     return {(one.name, one.target) for one in verdict.effects}
 
 
+@pytest.mark.thorough
 def test_cogging_beside_friction_is_named() -> None:
     found = _found(_cogs, _rubs)
     assert _named(found) == {("cogging", "elbow"), ("coulomb_friction", "shoulder")}

@@ -51,7 +51,7 @@ def _holds(value: Value, true: float) -> bool:
     return value.low < true < value.high
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_cogging_beside_friction_is_named_with_the_number_of_its_waves() -> None:
     problem = _problem(_rubs, _cogs)
     found = find_gap(problem, exclude=_others(problem))
@@ -83,7 +83,7 @@ def test_what_the_common_effects_explain_is_held_against_nothing() -> None:
     assert list(uncommon(state, additions)) == []
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_knock_is_no_uncommon_effect() -> None:
     def knocks(model: mujoco.MjModel, data: mujoco.MjData) -> None:
         data.qfrc_applied[0] = 2.0 * (1.0 < data.time < 1.5)
