@@ -28,6 +28,7 @@ from rlco.keys import (
     image_keys,
 )
 from rlco.lerobot_files import LeRobotFolder, read_columns, read_folder
+from rlco.physics.spec.image_size import check_image_size
 
 _STATE = "observation.state"
 _ENVIRONMENT_STATE = "observation.environment_state"
@@ -155,10 +156,12 @@ def load_demos(
     Raises:
         DataError: The data set cannot be used as it is; the message says why.
         ConfigError: ``chunk`` is not a positive integer.
+        RlcoError: `image_size` is no height and width.
         OutputExistsError: The ``memmap`` folder exists.
     """
     if chunk < 1:
         raise ConfigError([f"chunk={chunk}, but a chunk has at least 1 step"])
+    check_image_size(image_size)
     if memmap is not None and Path(memmap).exists():
         raise OutputExistsError(memmap)
     folder = read_folder(path, episodes=episodes, rename=rename)

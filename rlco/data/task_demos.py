@@ -16,6 +16,7 @@ from rlco.errors import DataError, suggest
 from rlco.keys import ACTION
 from rlco.lerobot_files import LeRobotFolder, read_folder
 from rlco.physics.spec.actions import TOLERANCE
+from rlco.physics.spec.image_size import check_image_size
 from rlco.physics.spec.task import Task
 from rlco.runs.options import rename_map
 
@@ -61,6 +62,7 @@ def load_task_demos(
         DataError: The data set cannot be used, was recorded at another rate, or has
             actions beyond the task's limit.
     """
+    check_image_size(image_size)
     names = rename_map(rename)
     key: str | dict[str, str] | Literal[False] = False
     memmap = None

@@ -27,6 +27,7 @@ from rlco.physics.spec.domain import (
     with_effects,
     with_look,
 )
+from rlco.physics.spec.image_size import check_image_size
 from rlco.physics.spec.looks import GivenLook
 from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.stepper import Stepper
@@ -133,10 +134,7 @@ def make_env(
             raise RlcoError(f"{name}={value} is not allowed; give 1 or more.")
     if seed < 0:
         raise RlcoError(f"seed={seed} is not allowed; give 0 or more.")
-    if image_size is not None and (len(image_size) != 2 or min(image_size) < 1):
-        raise RlcoError(
-            f"image_size={image_size} is not allowed; give (height, width) in pixels."
-        )
+    check_image_size(image_size)
     check_renderer(renderer, image_quality)
     if renderer != "opengl" and image_size is None:
         raise RlcoError(

@@ -15,7 +15,7 @@ from torchrl.data.vla.schema import validate_vla_tensordict
 
 from rlco.data import DemoWriter, load_demos
 from rlco.data.demos import chunk_indices
-from rlco.errors import ConfigError, DataError, OutputExistsError
+from rlco.errors import ConfigError, DataError, OutputExistsError, RlcoError
 from rlco.keys import (
     ACTION,
     CHUNK,
@@ -208,6 +208,11 @@ def test_pictures_can_be_left_out(demos: Path) -> None:
 def test_chunk_must_be_positive(demos: Path) -> None:
     with pytest.raises(ConfigError, match="chunk=0"):
         load_demos(demos, chunk=0)
+
+
+def test_a_size_of_images_has_two_numbers(demos: Path) -> None:
+    with pytest.raises(RlcoError, match=r"image_size=64 .* give \(height, width\)"):
+        load_demos(demos, image_size=64)  # type: ignore[arg-type]
 
 
 @given(

@@ -26,6 +26,7 @@ PLAIN = replace(make_task("push_cube"), variations=())
         ({"chunk": 0}, "chunk=0 is not allowed; give 1 or more"),
         ({"horizon": -3}, "horizon=-3 is not allowed; give 1 or more"),
         ({"seed": -1}, "seed=-1 is not allowed; give 0 or more"),
+        ({"image_size": 64}, r"image_size=64 is not allowed; give \(height, width\)"),
         ({"image_size": (0, 64)}, r"image_size=\(0, 64\) is not allowed"),
         (
             {"task": PLAIN, "variation": "shapes"},

@@ -22,6 +22,7 @@ from rlco.physics.rendering.renderers import check_renderer
 from rlco.physics.robosuite.stepper import RobosuiteStepper
 from rlco.physics.spec.actions import ActionRange
 from rlco.physics.spec.domain import Domain, GivenDomain, make_domain, with_look
+from rlco.physics.spec.image_size import check_image_size
 from rlco.physics.spec.looks import GivenLook
 from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.observation import noise_size, observe
@@ -344,7 +345,4 @@ def _check(
             raise UnknownNameError(kind, str(value), [str(c) for c in _CHOICES[kind]])
     if horizon is not None and horizon < 1:
         raise RlcoError(f"horizon={horizon} is not allowed; give 1 or more.")
-    if len(image_size) != 2 or min(image_size) < 1:
-        raise RlcoError(
-            f"image_size={image_size} is not allowed; give (height, width) in pixels."
-        )
+    check_image_size(image_size)
