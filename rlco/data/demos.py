@@ -28,7 +28,7 @@ from rlco.keys import (
     image_keys,
 )
 from rlco.lerobot_files import LeRobotFolder, read_columns, read_folder
-from rlco.physics.spec.image_size import check_image_size
+from rlco.physics.rendering.image_size import check_image_size
 
 _STATE = "observation.state"
 _ENVIRONMENT_STATE = "observation.environment_state"

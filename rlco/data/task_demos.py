@@ -15,8 +15,8 @@ from rlco.data.recorded_task import RecordedTask
 from rlco.errors import DataError, suggest
 from rlco.keys import ACTION
 from rlco.lerobot_files import LeRobotFolder, read_folder
+from rlco.physics.rendering.image_size import check_image_size
 from rlco.physics.spec.actions import TOLERANCE
-from rlco.physics.spec.image_size import check_image_size
 from rlco.physics.spec.task import Task
 from rlco.runs.options import rename_map
 
@@ -61,6 +61,7 @@ def load_task_demos(
         ConfigError: `rename` cannot be read.
         DataError: The data set cannot be used, was recorded at another rate, or has
             actions beyond the task's limit.
+        RlcoError: `image_size` is no height and width.
     """
     check_image_size(image_size)
     names = rename_map(rename)

@@ -16,6 +16,7 @@ from rlco.physics.effects.effects_file import EffectsFile
 from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.native.world_checks import check_native
 from rlco.physics.rendering.camera import Quality
+from rlco.physics.rendering.image_size import check_image_size
 from rlco.physics.rendering.renderers import check_renderer
 from rlco.physics.robosuite.options import PREFIX
 from rlco.physics.robosuite.stepper import RobosuiteStepper
@@ -27,7 +28,6 @@ from rlco.physics.spec.domain import (
     with_effects,
     with_look,
 )
-from rlco.physics.spec.image_size import check_image_size
 from rlco.physics.spec.looks import GivenLook
 from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.stepper import Stepper

@@ -14,9 +14,9 @@ import re
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
-from _pytest.mark import ParameterSet
 from arm_cases import write_arm
 from bench_runs import write_bench
 from commands import ROOT, Command, all_blocks
@@ -353,7 +353,7 @@ def with_less(recipe: str, options: list[str]) -> list[str]:
     return [f"{name}={value}" for name, value in asked.items()]
 
 
-def as_case(block: list[Command]) -> ParameterSet:
+def as_case(block: list[Command]) -> Any:
     """Return a block with its first command for its name."""
     name = block[0].text
     marks = [pytest.mark.thorough] if name.startswith(THOROUGH) else []

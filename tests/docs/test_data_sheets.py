@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from pages import DOCS
+from pages import DOCS, write_results
+
+from rlco.runs.compare.jobs import expand
+from rlco.runs.compare.read_experiment import read_experiment
 
 ROOT = DOCS.parent
 KINDS = (".png", ".mp4", ".html")
@@ -59,12 +63,14 @@ def test_a_data_sheet_is_filled_in(row: tuple[str, ...]) -> None:
 FROM_CELLS = {row[2].strip("`") for row in sheets() if "/experiments/" in row[2]}
 
 
-@pytest.mark.parametrize("experiment", sorted(FROM_CELLS))
-def test_the_code_of_a_figure_of_cells_is_that_of_the_cells(experiment: str) -> None:
-    """As the page of the experiment's tables has it, which is written from them."""
-    page = DOCS / "tables" / f"{Path(experiment).stem}.md"
-    (line,) = re.findall(r"Commits \(jobs\): (.*?) Processors", page.read_text("utf-8"))
-    commits = set(re.findall(r"`([0-9a-f]{7})`", line))
+@pytest.mark.parametrize("path", sorted(FROM_CELLS))
+def test_the_code_of_a_figure_of_cells_is_that_of_the_cells(path: str) -> None:
+    jobs = {job.name for job in expand(read_experiment(ROOT / path))}
+    folder = write_results().CELLS.get(Path(path).stem, Path(path).stem)
+    files = (ROOT / "benchmarks" / "cells" / folder).glob("*.json")
+    cells = [json.loads(file.read_text("utf-8")) for file in files]
+    # Experiments with jobs in common share a folder.
+    commits = {cell["commit"][:7] for cell in cells if cell["name"] in jobs}
     for row in sheets():
-        if row[2].strip("`") == experiment:
-            assert commits <= set(re.findall(r"`([0-9a-f]{7})`", row[3])), row[0]
+        if row[2].strip("`") == path:
+            assert set(re.findall(r"`([0-9a-f]{7})`", row[3])) == commits, row[0]

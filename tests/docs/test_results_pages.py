@@ -2,32 +2,19 @@
 
 from __future__ import annotations
 
-import importlib.util
 from pathlib import Path
-from types import ModuleType
 
 import pytest
-from pages import DOCS
+from pages import DOCS, write_results
 
 pytestmark = pytest.mark.slow
 ROOT = DOCS.parent
 
 
-def script() -> ModuleType:
-    """Return scripts/write_results.py, which is in no package."""
-    path = ROOT / "scripts" / "write_results.py"
-    spec = importlib.util.spec_from_file_location("write_results", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def test_marked_tables_are_what_the_cells_say(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    module = script()
+    module = write_results()
     (tmp_path / "figures").mkdir()
     monkeypatch.setattr(module, "DOCS", tmp_path)
     texts = {
@@ -58,4 +45,4 @@ def test_a_table_may_be_narrowed_to_some_columns() -> None:
     begin, end = "a\n<!-- results m: real, sim -->\n", "\n<!-- end -->\nb"
     narrow = "| method | real | sim |\n| --- | --- | --- |\n| sft | 7% | 5% |"
     tables = {"m": f"{table}\n\n| more |"}
-    assert script().filled(f"{begin}old{end}", tables) == f"{begin}{narrow}{end}"
+    assert write_results().filled(f"{begin}old{end}", tables) == f"{begin}{narrow}{end}"

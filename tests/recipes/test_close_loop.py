@@ -34,7 +34,7 @@ TINY = (
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("loop") / "run"
     # What could stand in for the offset; a search through all effects takes twice it.
-    known = {"joint_offset", "torque_bias", "encoder_scale"}
+    known = {"joint_offset", "torque_bias", "encoder_scale", "command_delay", "payload"}
     few = functools.partial(rlco.gap.run_gap, exclude=set(EFFECTS) - known)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(rlco.gap, "run_gap", few)

@@ -14,7 +14,6 @@ from torch.testing import assert_close
 from rlco.policies import load_policy
 from rlco.runs.metrics import read_metrics
 from rlco.runs.state_files import load_state
-from rlco.training import pretraining
 from rlco.training.options.stage_one_options import StageOneOptions
 from rlco.training.pretraining import say_unlabelled
 
@@ -45,10 +44,8 @@ def drawn(tmp_path_factory: pytest.TempPathFactory) -> Drawn:
     start("record_demos", *images, f"out={made.sim}")
     start("record_demos", *images, "domain=stand_in", "seed=1", f"out={made.real}")
     given = [*made.data, *SFT, *DENSE, *SCENES]
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pretraining, "HELD_OUT", 20)  # 400 take as long as all the rest
-        start("sft", *given, "image_fixed=true", f"out={made.fixed}")
-        start("sft", *given, "position_coeff=0.5", f"out={made.trained}")
+    start("sft", *given, "image_fixed=true", f"out={made.fixed}")
+    start("sft", *given, "position_coeff=0.5", f"out={made.trained}")
     return made
 
 
@@ -72,7 +69,7 @@ def test_a_fixed_encoder_stays_as_it_was_pretrained_and_a_trained_one_does_not(
     assert all(row["loss_position"] > 0 for row in rows)
     assert "loss_position" not in read_metrics(drawn.fixed / "metrics.csv")[0]
     log = (drawn.fixed / "log.txt").read_text()
-    assert " mm on average in 20 new scenes" in log
+    assert " mm on average in 400 new scenes" in log
 
 
 def test_an_encoder_that_learns_without_labels_is_warned_of(
@@ -118,7 +115,6 @@ def test_a_run_that_was_stopped_after_pretraining_goes_on_from_it(
     cut = tmp_path / "cut"
     given = [*drawn.data, *SFT, *DENSE, *SCENES, "position_coeff=0.5", f"out={cut}"]
     with monkeypatch.context() as patched:
-        patched.setattr(pretraining, "HELD_OUT", 20)
         patched.setattr("rlco.training.stage_one.imitate", stop)
         with pytest.raises(SystemExit):
             start("sft", *given)

@@ -18,7 +18,7 @@ from rlco.physics.tasks.make_task import make_task
 from rlco.policies.tiny.smolvla import write_tiny_smolvla
 from rlco.runs.metrics import read_metrics
 
-pytestmark = pytest.mark.thorough
+pytestmark = pytest.mark.slow
 
 RECIPE = "lerobot_co_train"
 WEIGHTS = "lerobot/checkpoints/last/pretrained_model/model.safetensors"
@@ -77,6 +77,7 @@ def learned(
     return in_two_ranks(learn, folder, options, folder, groups=3), folder
 
 
+@pytest.mark.thorough
 def test_two_ranks_write_one_run_of_the_frames_of_both(
     learned: tuple[Found, Path], given: list[str], tmp_path: Path
 ) -> None:
@@ -91,6 +92,7 @@ def test_two_ranks_write_one_run_of_the_frames_of_both(
     assert rows[1]["loss_bc_real"] > 0
 
 
+@pytest.mark.thorough
 def test_ranks_resume_to_what_they_would_have_come_to(
     learned: tuple[Found, Path], given: list[str]
 ) -> None:

@@ -18,11 +18,11 @@ from rlco.physics.effects import load_code
 from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.native.world_checks import check_native
 from rlco.physics.rendering.camera import Quality
+from rlco.physics.rendering.image_size import check_image_size
 from rlco.physics.rendering.renderers import check_renderer
 from rlco.physics.robosuite.stepper import RobosuiteStepper
 from rlco.physics.spec.actions import ActionRange
 from rlco.physics.spec.domain import Domain, GivenDomain, make_domain, with_look
-from rlco.physics.spec.image_size import check_image_size
 from rlco.physics.spec.looks import GivenLook
 from rlco.physics.spec.names import Renderer
 from rlco.physics.spec.observation import noise_size, observe
