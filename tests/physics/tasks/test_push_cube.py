@@ -170,7 +170,7 @@ def test_unknown_names_come_with_a_suggestion() -> None:
 def test_demonstrations_are_the_same_again_and_end_after_success() -> None:
     demos, again = (
         list(demonstrate(TASK, SIM, episodes=3, seed=4, num_envs=count, hold=5))
-        for count in (3, 4)
+        for count in (3, 2)  # all at once, and two and one
     )
     for one, other in zip(demos, again, strict=True):
         assert one.action.tobytes() == other.action.tobytes()
