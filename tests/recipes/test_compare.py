@@ -526,6 +526,10 @@ def test_a_job_that_cannot_be_resumed_begins_anew(grid: Grid) -> None:
             "job first: braces hold '0', which is no name",
         ),
         (lambda c: c["over"].update(seed=[1, 1]), "over seed holds a value twice"),
+        (  # tables call both by the name of the file
+            lambda c: c["over"].update(place=["a/there.yaml", "b/there.yaml"]),
+            "over place holds a value twice",
+        ),
         (lambda c: c["over"].update(seed=3), "over seed is no list of values"),
         (
             lambda c: c.update(without=[{"seed": 7}]),

@@ -9,6 +9,7 @@ from typing import Any, Literal
 from rlco.errors import DataError
 from rlco.reporting.plots import Curve
 from rlco.runs.compare.cells import EVALUATED, ROLLOUT
+from rlco.runs.compare.experiment import value_name
 
 State = Literal["done", "older", "failed", "missing"]
 #: Shares by method, seed and domain.
@@ -45,10 +46,10 @@ def group_name(values: Mapping[str, Any]) -> str:
     """Return what a group is called, by the values of its variables.
 
     Example:
-        >>> group_name({"task": "push_cube", "beta": 0.2})
-        'task push_cube, beta 0.2'
+        >>> group_name({"task": "push_cube", "place": "domains/yaw30.yaml"})
+        'task push_cube, place yaw30'
     """
-    return ", ".join(f"{name} {value}" for name, value in values.items())
+    return ", ".join(f"{name} {value_name(value)}" for name, value in values.items())
 
 
 @dataclass(frozen=True)

@@ -25,6 +25,7 @@ from rlco.reporting.plot_style import (
     styles,
 )
 from rlco.reporting.statistics import Interval, mean_interval
+from rlco.runs.compare.experiment import value_name
 
 #: Success by method and value of the variable.
 Points = Mapping[str, Mapping[str, Interval]]
@@ -72,14 +73,14 @@ def success_over(entries: Sequence[Entry], variable: str) -> dict[str, Figure]:
         for axes, domain in zip(panels, domains, strict=True):
             every = {
                 label: {
-                    str(value): mean_interval(rates)
+                    value_name(value): mean_interval(rates)
                     for value, runs in found.items()
                     if (rates := list(ends_of(runs.get(label, {}), domain).values()))
                 }
                 for label in labels
             }
             points = {label: them for label, them in every.items() if them}
-            _panel(axes, [str(value) for value in found], points, joined)
+            _panel(axes, [value_name(value) for value in found], points, joined)
             axes.set_title(domain_label(domain, lines=2), fontsize=10, color=INK)
             axes.set_xlabel(variable)
         for axes in panels[1:]:

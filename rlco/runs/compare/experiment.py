@@ -147,6 +147,17 @@ def left_out(values: Mapping[str, Any], without: Iterable[Without]) -> bool:
     )
 
 
+def value_name(value: Any) -> str:
+    """Return what a value of a variable is called: a file by its name alone.
+
+    Example:
+        >>> value_name(0.2), value_name("benchmarks/domains/yaw30.yaml")
+        ('0.2', 'yaw30')
+    """
+    text = str(value)
+    return Path(text).stem if text.endswith(".yaml") else text
+
+
 def labels_of(label: str, over: Mapping[str, tuple[Any, ...]]) -> list[str]:
     """Return a label with all values of the variables that it names.
 

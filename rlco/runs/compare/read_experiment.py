@@ -12,7 +12,7 @@ from typing import Any
 from rlco.errors import ConfigError, DataError
 from rlco.files import read_yaml
 from rlco.runs.compare.code_version import ROOT
-from rlco.runs.compare.experiment import Experiment, JobKind, Without
+from rlco.runs.compare.experiment import Experiment, JobKind, Without, value_name
 from rlco.runs.compare.problems import Problems
 from rlco.runs.compare.read_table import read_table
 from rlco.runs.compare.templates import flat
@@ -108,7 +108,7 @@ class _Reader:
                 self.problems.found.append(
                     f"over {name} holds lists; give single values"
                 )
-            elif len({str(value) for value in values}) < len(values):
+            elif len({value_name(value) for value in values}) < len(values):
                 self.problems.found.append(f"over {name} holds a value twice")
             elif not name.isidentifier():
                 self.problems.found.append(
