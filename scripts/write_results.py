@@ -32,7 +32,12 @@ BENCHMARKS = ROOT / "benchmarks"
 #: Where the cells of an experiment are, if not in a folder of its name.
 ON_PUSH_CUBE = ("alignment", "two_by_two", "length", "methods", "adapted")
 CELLS = dict.fromkeys(ON_PUSH_CUBE, "push_cube")
-ON_IMAGES = ("encoders", "paper_images", "generalisation_images")
+ON_IMAGES = (
+    "encoders",
+    "encoders_further",
+    "paper_images",
+    "generalisation_images",
+)
 CELLS |= dict.fromkeys(ON_IMAGES, "sight")
 CELLS |= dict.fromkeys(("generalisation", "take_off", "data", "alpha"), "paper")
 MARKED = re.compile(

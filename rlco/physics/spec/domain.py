@@ -143,12 +143,27 @@ def with_look(domain: Domain, look: GivenLook | None) -> Domain:
 
     Args:
         domain: The domain.
-        look: See `rlco.physics.spec.looks.make_look`.
+        look: See `rlco.physics.spec.looks.make_look`. Ranges of looks are drawn around
+            where the domain's own look has its cameras, unless they say around what.
 
     Raises:
         UnknownNameError: If there is no look of that name.
+        RlcoError: If a camera drawn around the domain's would be refused.
+
+    Example:
+        >>> import numpy as np
+        >>> from rlco.physics.spec.look import View
+        >>> near = Look(cameras={"agentview": View(shift=(0.0, 0.0, -0.4))})
+        >>> ranges = with_look(Domain("near", look=near), "random").look
+        >>> ranges.draw(np.random.default_rng(0)).cameras["agentview"].shift[2] < -0.3
+        True
     """
-    return domain if look is None else replace(domain, look=make_look(look))
+    if look is None:
+        return domain
+    found = make_look(look)
+    if isinstance(found, LookRanges) and isinstance(domain.look, Look):
+        found = replace(found, around=found.around or domain.look.cameras)
+    return replace(domain, look=found)
 
 
 def _everywhere(

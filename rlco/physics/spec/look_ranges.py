@@ -43,6 +43,10 @@ class LookRanges:
         noise: See `Look`.
         cameras: By name of each camera that differs, the vertical angle of its lens
             [degrees].
+        around: By name, where a camera stands and what its lens is, if not as in
+            ``sim``. Shifts, turns and sensor shifts are added to it, the crop is a
+            factor of it, and so is the lens's angle over the middle of its range.
+            `rlco.physics.spec.domain.with_look` takes these from the domain's look.
 
     Raises:
         RlcoError: If a range's ends are in the wrong order, or a look with one of them
@@ -92,6 +96,7 @@ class LookRanges:
             "robot0_eye_in_hand": (68.0, 82.0),
         }
     )
+    around: Mapping[str, View] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for one in fields(self):
@@ -150,15 +155,30 @@ class LookRanges:
             ambient=(number(self.ambient),) * 3,
             diffuse=(number(self.diffuse),) * 3,
         )
-        cameras = {
-            name: View(
-                shift=(number(self.shift), number(self.shift), number(self.shift)),
-                turn=(number(self.turn), number(self.turn), number(self.turn)),
-                field_of_view=number(angle),
-                crop=number(self.crop),
-                sensor_shift=(number(self.sensor_shift), number(self.sensor_shift)),
+
+        def view(name: str) -> View:
+            base = self.around.get(name, View())
+            right, up, back = (at + number(self.shift) for at in base.shift)
+            pitch, yaw, roll = (at + number(self.turn) for at in base.turn)
+            angle = base.field_of_view
+            if name in self.cameras:
+                drawn, middle = number(self.cameras[name]), sum(self.cameras[name]) / 2
+                angle = drawn if angle is None else angle * drawn / middle
+            return View(
+                shift=(right, up, back),
+                turn=(pitch, yaw, roll),
+                field_of_view=angle,
+                crop=base.crop * number(self.crop),
+                sensor_shift=(
+                    base.sensor_shift[0] + number(self.sensor_shift),
+                    base.sensor_shift[1] + number(self.sensor_shift),
+                ),
             )
-            for name, angle in sorted(self.cameras.items())
+
+        # Those that only a domain knows come last: the others keep their numbers.
+        others = self.around.keys() - self.cameras.keys()
+        cameras = {
+            name: view(name) for name in (*sorted(self.cameras), *sorted(others))
         }
         ambient = (0.1, 0.1, 0.1)  # as in ``sim``
         return Look(

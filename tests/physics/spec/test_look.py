@@ -162,6 +162,46 @@ def test_a_look_is_drawn_by_its_seed_alone() -> None:
     assert one == same != other
 
 
+def test_random_looks_are_around_the_cameras_of_the_domain() -> None:
+    at = View(
+        shift=(0.1, 0.0, -0.4), turn=(0.2, 0.0, 0.0), crop=0.5, field_of_view=90.0
+    )
+    beside = View(shift=(0.0, 0.5, 0.0))
+    own = Domain("own", look=Look(cameras={"agentview": at, "sideview": beside}))
+    ranges = with_look(own, "random").look
+    assert isinstance(ranges, LookRanges)
+    for k in range(50):
+        look = ranges.draw(np.random.default_rng(k))
+        plain = LookRanges().draw(np.random.default_rng(k))
+        # All that is not of this camera is as it would be around ``sim``.
+        assert look.surfaces == plain.surfaces
+        assert look.lights == plain.lights
+        name = "robot0_eye_in_hand"
+        assert look.cameras[name] == plain.cameras[name]
+        one, around_sim = look.cameras["agentview"], plain.cameras["agentview"]
+        assert one.shift == pytest.approx(np.add(around_sim.shift, at.shift))
+        assert one.turn == pytest.approx(np.add(around_sim.turn, at.turn))
+        assert one.sensor_shift == around_sim.sensor_shift
+        assert one.crop == 0.5
+        # 90 degrees, as 45 in ``sim`` are the middle of 41 to 49.
+        assert one.field_of_view == pytest.approx(2.0 * around_sim.field_of_view)
+        other = look.cameras["sideview"]
+        assert other.field_of_view is None
+        assert abs(other.shift[1] - 0.5) <= 0.02
+        assert abs(other.shift[0]) <= 0.02
+
+
+def test_ranges_that_say_around_what_keep_to_it() -> None:
+    at = {"agentview": View(shift=(0.0, 0.0, -0.3))}
+    own = Domain("own", look=Look(cameras={"agentview": View(shift=(0.0, 0.9, 0.0))}))
+    assert with_look(own, LookRanges(around=at)).look == LookRanges(around=at)
+    edge = Domain(
+        "edge", look=Look(cameras={"agentview": View(shift=(0.99, 0.0, 0.0))})
+    )
+    with pytest.raises(RlcoError, match=r"shift=1\.01 of a look is out of range"):
+        with_look(edge, "random")
+
+
 @pytest.mark.parametrize(
     ("given", "said"),
     [
