@@ -9,8 +9,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from rlco.physics.mj.compiling import inner
+from rlco.physics.mj.copying import copy_into, copy_matrix
 from rlco.physics.mj.libmujoco import doubles, mj_jacSite, mj_step1, mj_step2
 from rlco.physics.native.effect_kernels import (
     goal_is_due,
@@ -39,7 +40,7 @@ from rlco.physics.native.world_memory import (
 from rlco.physics.spec.stepper import TOO_LARGE
 
 
-@njit(nogil=True, cache=True)
+@inner
 def arm_mass(sparse: Any, control: Any, mass: Any) -> None:
     """Write the arm's block of MuJoCo's sparse mass matrix, shape (n, n)."""
     arm_dof = control.arm_dof
@@ -57,7 +58,7 @@ def arm_mass(sparse: Any, control: Any, mass: Any) -> None:
             at += 1
 
 
-@njit(nogil=True, cache=True)
+@inner
 def arm_columns(jacobian: Any, control: Any, out: Any) -> None:
     """Write the arm's columns of a Jacobian (6, nv), shape (6, n)."""
     for r in range(6):
@@ -65,7 +66,7 @@ def arm_columns(jacobian: Any, control: Any, out: Any) -> None:
             out[r, i] = jacobian[r, control.arm_dof[i]]
 
 
-@njit(nogil=True, cache=True)
+@inner
 def too_large(values: Any) -> bool:
     """Return whether any value is NaN or too large to be valid."""
     for value in values:  # noqa: SIM110 (numba does not support generators)
@@ -74,7 +75,7 @@ def too_large(values: Any) -> bool:
     return False
 
 
-@njit(nogil=True, cache=True)
+@inner
 def next_action(memory: Any, e: int, whole: int, given: Any, action: Any) -> None:
     """Write the command to execute now, and store the given one.
 
@@ -82,16 +83,16 @@ def next_action(memory: Any, e: int, whole: int, given: Any, action: Any) -> Non
     """
     delay = memory.delay[e] + whole
     if delay == 0:
-        action[: given.shape[0]] = given
+        copy_into(action, 0, given)
         return
     pending = memory.pending[e]
-    action[: given.shape[0]] = pending[0]
+    copy_into(action, 0, pending[0])
     for i in range(delay - 1):
-        pending[i] = pending[i + 1]
-    pending[delay - 1] = given
+        copy_into(pending[i], 0, pending[i + 1])
+    copy_into(pending[delay - 1], 0, given)
 
 
-@njit(nogil=True, cache=True)
+@inner
 def set_goals(control: Any, memory: Any, e: int, s: Any) -> None:
     """Set the goals of the arm and of the gripper for a command."""
     f, action = memory.observed[e], memory.action[e]
@@ -127,7 +128,7 @@ def set_goals(control: Any, memory: Any, e: int, s: Any) -> None:
             grip[g] = min(max(grip[g] + control.finger_step[g] * side, -1.0), 1.0)
 
 
-@njit(nogil=True, cache=True)
+@inner
 def joint_position_torques(control: Any, memory: Any, e: int, s: Any) -> None:
     """Write the torques of robosuite's ``JOINT_POSITION``."""
     n, goal = s.torque.shape[0], memory.goal[e]
@@ -142,7 +143,7 @@ def joint_position_torques(control: Any, memory: Any, e: int, s: Any) -> None:
         s.torque[i] = total + s.bias[i]
 
 
-@njit(nogil=True, cache=True)
+@inner
 def osc_pose_torques(control: Any, memory: Any, e: int, model: int, s: Any) -> None:
     """Write the torques of robosuite's ``OSC_POSE``."""
     f, goal = memory.observed[e], memory.goal[e]
@@ -154,12 +155,12 @@ def osc_pose_torques(control: Any, memory: Any, e: int, model: int, s: Any) -> N
         model, f[0], s.jacobian.ctypes.data, s.jacobian[3:].ctypes.data, control.site
     )
     if memory.fresh[e]:
-        s.arm_jacobian[:] = memory.first_jacobian[e]
+        copy_matrix(s.arm_jacobian, memory.first_jacobian[e])
     else:
         arm_columns(s.jacobian, control, s.arm_jacobian)
     if control.exact:
-        s.velocity[:3] = np.dot(s.jacobian[:3], qvel)
-        s.velocity[3:] = np.dot(s.jacobian[3:], qvel)
+        copy_into(s.velocity, 0, np.dot(s.jacobian[:3], qvel))
+        copy_into(s.velocity, 3, np.dot(s.jacobian[3:], qvel))
     else:
         for r in range(6):
             s.velocity[r] = 0.0
@@ -191,7 +192,7 @@ def osc_pose_torques(control: Any, memory: Any, e: int, model: int, s: Any) -> N
     joint_torques(s.mass, s.arm_jacobian, s.bias, s.wanted, s.null, s.torque)
 
 
-@njit(nogil=True, cache=True)
+@inner
 def control_step(control: Any, memory: Any, e: int, given: Any, s: Any) -> bool:
     """Execute one control step of a world; return whether its state is valid."""
     acting, model, f = control.acting, memory.models[e], memory.fields[e]
@@ -221,7 +222,7 @@ def control_step(control: Any, memory: Any, e: int, given: Any, s: Any) -> bool:
         if goal_is_due(control, memory, e, step, s.action):
             set_goals(control, memory, e, s)
         if memory.fresh[e]:
-            s.mass[:] = memory.first_mass[e]
+            copy_matrix(s.mass, memory.first_mass[e])
         else:
             arm_mass(qm, control, s.mass)
         for i in range(n):

@@ -13,6 +13,8 @@ from numba import njit
 
 from rlco.physics.effects.command import newest_arrival
 from rlco.physics.effects.step_forces import set_friction, set_torques
+from rlco.physics.mj.compiling import inner
+from rlco.physics.mj.copying import copy_into
 from rlco.physics.mj.libmujoco import (
     doubles,
     mj_comPos,
@@ -25,7 +27,7 @@ from rlco.physics.mj.libmujoco import (
 from rlco.physics.native.world_memory import ACTUATION, APPLIED, BIAS, QPOS, QVEL
 
 
-@njit(nogil=True, cache=True)
+@inner
 def write_friction(control: Any, memory: Any, e: int) -> None:
     """Write the friction of the next physics step into the world's model."""
     f, nv = memory.fields[e], control.nv
@@ -41,7 +43,7 @@ def write_friction(control: Any, memory: Any, e: int) -> None:
     )
 
 
-@njit(nogil=True, cache=True)
+@inner
 def write_torques(control: Any, memory: Any, e: int) -> None:
     """Write the torques that depend on the actuators' forces in this step."""
     f, nv = memory.fields[e], control.nv
@@ -56,7 +58,7 @@ def write_torques(control: Any, memory: Any, e: int) -> None:
     )
 
 
-@njit(nogil=True, cache=True)
+@inner
 def observe(control: Any, memory: Any, e: int) -> None:
     """Compute the robot's state as observed by its controller.
 
@@ -85,7 +87,7 @@ def observe_range(which: Any, control: Any, memory: Any) -> None:
             observe(control, memory, which[row])
 
 
-@njit(nogil=True, cache=True)
+@inner
 def send(control: Any, memory: Any, e: int, given: Any) -> None:
     """Store a command that arrives late by a random time.
 
@@ -99,7 +101,7 @@ def send(control: Any, memory: Any, e: int, given: Any) -> None:
     memory.pending[e, number - memory.passed[e] - 1] = given
 
 
-@njit(nogil=True, cache=True)
+@inner
 def _arrives(control: Any, memory: Any, e: int) -> bool:
     """Return whether a command arrives that was late by a random time."""
     acting, clock, pending = control.acting, memory.clock[e], memory.pending[e]
@@ -115,16 +117,16 @@ def _arrives(control: Any, memory: Any, e: int) -> bool:
         clock // control.substeps,
     )
     if arrived > before:
-        memory.action[e, : pending.shape[1]] = pending[arrived - before - 1]
+        copy_into(memory.action[e], 0, pending[arrived - before - 1])
     gone = passed - before
     if gone > 0:
         for i in range(pending.shape[0] - gone):
-            pending[i] = pending[i + gone]
+            copy_into(pending[i], 0, pending[i + gone])
         memory.passed[e] = passed
     return bool(arrived > before)
 
 
-@njit(nogil=True, cache=True)
+@inner
 def goal_is_due(control: Any, memory: Any, e: int, step: int, action: Any) -> bool:
     """Return whether the controller reads a new command in this physics step.
 

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
+from rlco.physics.mj.compiling import inner
+from rlco.physics.mj.copying import copy_into
 from rlco.physics.mj.libmujoco import (
     doubles,
     mj_comPos,
@@ -58,11 +60,11 @@ def feature_count(tracked: Tracked) -> int:
     return JOINTS + arm + POSE_SIZE * bodies + tracked.fixture_qpos.size
 
 
-@njit(nogil=True, cache=True)
+@inner
 def read_features(fields: Any, tracked: Any, out: Any) -> None:
     """Write one world's features."""
-    out[TOOL:TURN] = doubles(fields[SITE_POS] + 24 * tracked.site, 3)
-    out[TURN:FINGERS] = doubles(fields[SITE_MAT] + 72 * tracked.site, 9)
+    copy_into(out, TOOL, doubles(fields[SITE_POS] + 24 * tracked.site, 3))
+    copy_into(out, TURN, doubles(fields[SITE_MAT] + 72 * tracked.site, 9))
     qpos = doubles(fields[QPOS], tracked.nq)
     out[FINGERS] = qpos[tracked.finger]
     out[FINGERS + 1] = qpos[tracked.finger + 1]
@@ -72,8 +74,8 @@ def read_features(fields: Any, tracked: Any, out: Any) -> None:
     start += tracked.arm_qpos.shape[0]
     for k in range(tracked.objects.shape[0]):
         body = tracked.objects[k]
-        out[start : start + 3] = doubles(fields[POS] + 24 * body, 3)
-        out[start + 3 : start + POSE_SIZE] = doubles(fields[QUAT] + 32 * body, 4)
+        copy_into(out, start, doubles(fields[POS] + 24 * body, 3))
+        copy_into(out, start + 3, doubles(fields[QUAT] + 32 * body, 4))
         start += POSE_SIZE
     for j in range(tracked.fixture_qpos.shape[0]):
         out[start + j] = qpos[tracked.fixture_qpos[j]]
@@ -118,7 +120,7 @@ def step_range(
                 read_features(memory.fields[e], tracked, out[e, t + 1])
                 done = t + 1
         for t in range(done, out.shape[1] - 1):
-            out[e, t + 1] = out[e, done]
+            copy_into(out[e, t + 1], 0, out[e, done])
 
 
 @njit(nogil=True, cache=True)
@@ -143,8 +145,8 @@ def set_first_matrices(which: Any, control: Any, memory: Any, qpos0: Any) -> Non
         e = which[row]
         model, f = memory.models[e], memory.fields[e]
         qpos = doubles(f[QPOS], control.nq)
-        before[:] = qpos
-        qpos[:] = qpos0
+        copy_into(before, 0, qpos)
+        copy_into(qpos, 0, qpos0)
         for i in control.arm_qpos:
             qpos[i] = before[i]
         mj_kinematics(model, f[0])
@@ -156,7 +158,7 @@ def set_first_matrices(which: Any, control: Any, memory: Any, qpos0: Any) -> Non
         )
         arm_columns(jacobian, control, memory.first_jacobian[e])
         memory.fresh[e] = True
-        qpos[:] = before
+        copy_into(qpos, 0, before)
 
 
 @njit(nogil=True, cache=True)
@@ -189,11 +191,11 @@ def reset_range(
         qpos[tracked.finger + 1] = -fingers[row]
         for k in range(tracked.object_joints.shape[0]):
             first = tracked.object_joints[k]
-            qpos[first : first + POSE_SIZE] = poses[row, k]
+            copy_into(qpos, first, poses[row, k])
         for k in range(tracked.mocap.shape[0]):
             mark = tracked.mocap[k]
-            doubles(f[MOCAP_POS] + 24 * mark, 3)[:] = goals[row, k, :3]
-            doubles(f[MOCAP_QUAT] + 32 * mark, 4)[:] = goals[row, k, 3:]
+            copy_into(doubles(f[MOCAP_POS] + 24 * mark, 3), 0, goals[row, k, :3])
+            copy_into(doubles(f[MOCAP_QUAT] + 32 * mark, 4), 0, goals[row, k, 3:])
         for j in range(tracked.fixture_qpos.shape[0]):
             qpos[tracked.fixture_qpos[j]] = openings[row, j]
     forward_range(which, memory)

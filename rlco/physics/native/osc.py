@@ -14,6 +14,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from rlco.physics.mj.compiling import inner
+from rlco.physics.mj.copying import copy_into, copy_matrix
 from rlco.physics.robosuite.robosuite_api import nullspace_torques, opspace_matrices
 
 Array = NDArray[np.float64]
@@ -33,7 +35,8 @@ def delta_rotation(vector: Array) -> Array:
     q = np.zeros(4, dtype=np.float32)
     axis = vector / angle
     q[0] = np.cos(angle / 2.0)
-    q[1:] = (axis * np.sin(angle / 2.0)).astype(np.float32)
+    for i in range(3):
+        q[1 + i] = axis[i] * np.sin(angle / 2.0)
     q *= np.sqrt(2.0 / np.dot(q, q))
     p = np.outer(q, q)
     rotation = np.empty((3, 3))
@@ -49,7 +52,7 @@ def delta_rotation(vector: Array) -> Array:
     return rotation
 
 
-@njit(cache=True)
+@inner
 def world_goal(
     base_frame: bool,
     base: Array,
@@ -74,24 +77,23 @@ def world_goal(
         turned: Output: rotation, shape (3, 3).
     """
     if not base_frame:
-        goal[:] = tool + move[:3]
-        turned[:] = np.dot(
-            delta_rotation(move[3:].copy()), rotation.copy().reshape(3, 3)
-        )
+        copy_into(goal, 0, tool + move[:3])
+        moved = np.dot(delta_rotation(move[3:].copy()), rotation.copy().reshape(3, 3))
+        copy_matrix(turned, moved)
         return
     frame = base[3:].copy().reshape(3, 3)
     inverse, pose = np.eye(4), np.eye(4)
-    inverse[:3, :3] = frame.T
-    inverse[:3, 3] = np.dot(-frame.T, base[:3])
-    pose[:3, 3] = tool
-    goal[:] = np.dot(inverse, pose)[:3, 3] + move[:3]
-    goal[:] = base[:3] + np.dot(frame, goal)
-    pose[:3, :3] = rotation.copy().reshape(3, 3)
+    copy_matrix(inverse, frame.T)
+    copy_into(inverse[:, 3], 0, np.dot(-frame.T, base[:3]))
+    copy_into(pose[:, 3], 0, tool)
+    copy_into(goal, 0, np.dot(inverse, pose)[:3, 3] + move[:3])
+    copy_into(goal, 0, base[:3] + np.dot(frame, goal))
+    copy_matrix(pose, rotation.copy().reshape(3, 3))
     local = np.dot(inverse, pose)[:3, :3].copy()
-    turned[:] = np.dot(frame, np.dot(delta_rotation(move[3:].copy()), local))
+    copy_matrix(turned, np.dot(frame, np.dot(delta_rotation(move[3:].copy()), local)))
 
 
-@njit(cache=True)
+@inner
 def _factor(a: Array, n: int) -> None:
     """Cholesky-factor the leading n x n block of a symmetric matrix in place."""
     for j in range(n):
@@ -103,7 +105,7 @@ def _factor(a: Array, n: int) -> None:
             a[i, j] *= scale
 
 
-@njit(cache=True)
+@inner
 def _solve(factor: Array, x: Array, n: int) -> None:
     """Solve with a Cholesky factor in place."""
     for i in range(n):
@@ -226,7 +228,7 @@ def robosuite_joint_torques(
             np.dot(rotation_inertia, acceleration[3:]),
         )
     )
-    torque[:] = np.dot(jacobian.T, wrench) + bias
+    copy_into(torque, 0, np.dot(jacobian.T, wrench) + bias)
     torque += nullspace_torques(
         mass.T, null, posture, position, velocity, NULL_STIFFNESS
     )

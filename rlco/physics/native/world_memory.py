@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from rlco.physics.mj.compiling import inner
 from rlco.physics.spec.control import Array, Integers
 
 # Columns of the table of field addresses, one row per world.
@@ -85,7 +85,7 @@ class Scratch(NamedTuple):
     move: Array
 
 
-@njit(nogil=True, cache=True)
+@inner
 def scratch(control: Any) -> Any:
     """Return working space for worlds under this controller."""
     n, moves = control.arm_dof.shape[0], control.inputs.shape[1]

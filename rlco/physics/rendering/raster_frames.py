@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from rlco.physics.mj.compiling import borrowed, inner
+from rlco.physics.mj.copying import copy_into, copy_matrix
 from rlco.physics.rendering.raster_places import CUT, LEVEL, look, place
 from rlco.physics.rendering.raster_scene import (
     ID,
@@ -329,9 +330,10 @@ def _draw_worlds(
                 begin, end, detail = still if kept else 0, count, DETAIL
                 image = images[e]
             if moving and kept:
-                s.depth[0] = backgrounds.depth[slot]
-                s.shown[0, GEOM] = backgrounds.geom[slot]
-                image[:] = backgrounds.image[slot]
+                copy_matrix(s.depth[0], backgrounds.depth[slot])
+                copy_matrix(s.shown[0, GEOM], backgrounds.geom[slot])
+                for c in range(3):
+                    copy_matrix(image[c], backgrounds.image[slot, c])
             else:
                 s.depth[0] = _ZERO
                 s.shown[0, GEOM] = -1
@@ -362,9 +364,9 @@ def _draw_worlds(
             with_sky = not (moving and kept)
             _colour(scene, geoms_at, 0, whole, _ONE, with_sky, image, s)
             if not moving:
-                backgrounds.depth[slot] = s.depth[0]
-                backgrounds.geom[slot] = s.shown[0, GEOM]
-                backgrounds.rows[slot] = s.row[:still_end]
+                copy_matrix(backgrounds.depth[slot], s.depth[0])
+                copy_matrix(backgrounds.geom[slot], s.shown[0, GEOM])
+                copy_into(backgrounds.rows[slot], 0, s.row[:still_end])
                 backgrounds.drawn[slot] = True
         # Transparent geoms are blended over the rest, the farthest first. They have no
         # depth, as in MuJoCo; of each the closest triangles show.

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlco.physics.mj.compiling import inner
+from rlco.physics.mj.copying import copy_into
 from rlco.physics.mj.libmujoco import (
     address_of,
     doubles,
@@ -186,8 +187,8 @@ def _read_camera(
     width: int,
     row: Any,
 ) -> None:
-    row[CAM_POS:CAM_MAT] = doubles(state[_CAM_POS] + 24 * camera, 3)
-    row[CAM_MAT:FOCAL] = doubles(state[_CAM_MAT] + 72 * camera, 9)
+    copy_into(row, CAM_POS, doubles(state[_CAM_POS] + 24 * camera, 3))
+    copy_into(row, CAM_MAT, doubles(state[_CAM_MAT] + 72 * camera, 9))
     row[CENTER], row[CENTER + 1] = width / 2.0, height / 2.0
     sensor = floats(pointer_at(model + offsets[_SENSOR]) + 8 * camera, 2)
     if sensor[1] > 0.0:  # a sensor of a given size, with its intrinsic parameters
@@ -211,7 +212,7 @@ def _read_camera(
     for axis in range(3):
         light[LIGHT_DIR + axis] = -row[CAM_MAT + 3 * axis + 2]
         light[LIGHT_POS + axis] = row[CAM_POS + axis]
-    light[AMBIENT : AMBIENT + 9] = given
+    copy_into(light, AMBIENT, given)
     light[ATTENUATION:] = 0.0
 
 
@@ -220,8 +221,8 @@ def _read_light(light: int, model: int, state: Any, offsets: Any, row: Any) -> N
     row[LIGHT_ON] = flag_at(pointer_at(model + offsets[_ACTIVE]) + light)
     kind = integers(pointer_at(model + offsets[_TYPE]) + 4 * light, 1)[0]
     row[LIGHT_PLACED] = kind == 0 or kind == 2
-    row[LIGHT_DIR:LIGHT_POS] = doubles(state[_LIGHT_DIR] + 24 * light, 3)
-    row[LIGHT_POS:AMBIENT] = doubles(state[_LIGHT_POS] + 24 * light, 3)
+    copy_into(row, LIGHT_DIR, doubles(state[_LIGHT_DIR] + 24 * light, 3))
+    copy_into(row, LIGHT_POS, doubles(state[_LIGHT_POS] + 24 * light, 3))
     for place, which in (
         (AMBIENT, _AMBIENT),
         (DIFFUSE, _DIFFUSE),
@@ -229,7 +230,7 @@ def _read_light(light: int, model: int, state: Any, offsets: Any, row: Any) -> N
         (ATTENUATION, _ATTENUATION),
     ):
         values = floats(pointer_at(model + offsets[which]) + 12 * light, 3)
-        row[place : place + 3] = values
+        copy_into(row, place, values)
     cutoff = floats(pointer_at(model + offsets[_CUTOFF]) + 4 * light, 1)[0]
     # A point light shines everywhere.
     row[CUTOFF] = np.float32(np.cos(np.pi / 180.0 * cutoff)) if kind == 0 else -2.0
@@ -240,10 +241,10 @@ def _read_light(light: int, model: int, state: Any, offsets: Any, row: Any) -> N
 def _read_geom(
     geom: int, material: int, model: int, state: Any, offsets: Any, row: Any
 ) -> None:
-    row[GEOM_POS:GEOM_MAT] = doubles(state[_GEOM_POS] + 24 * geom, 3)
-    row[GEOM_MAT:RGBA] = doubles(state[_GEOM_MAT] + 72 * geom, 9)
+    copy_into(row, GEOM_POS, doubles(state[_GEOM_POS] + 24 * geom, 3))
+    copy_into(row, GEOM_MAT, doubles(state[_GEOM_MAT] + 72 * geom, 9))
     rgba = floats(pointer_at(model + offsets[_GEOM_RGBA]) + 16 * geom, 4)
-    row[RGBA:MATERIAL] = rgba
+    copy_into(row, RGBA, rgba)
     row[MATERIAL] = 0.0
     row[MATERIAL + 1] = row[MATERIAL + 2] = 0.5
     row[TEXTURE] = -1.0
@@ -256,12 +257,12 @@ def _read_geom(
         unset = unset and rgba[c] == _UNSET[c]
     if unset:
         of_material = pointer_at(model + offsets[_MAT_RGBA]) + 16 * material
-        row[RGBA:MATERIAL] = floats(of_material, 4)
+        copy_into(row, RGBA, floats(of_material, 4))
     for place, which in enumerate((_EMISSION, _SPECULAR, _SHININESS)):
         values = floats(pointer_at(model + offsets[which]) + 4 * material, 1)
         row[MATERIAL + place] = values[0]
     texture = pointer_at(model + offsets[_TEXTURE]) + 4 * (_ROLES * material + _RGB)
     row[TEXTURE] = integers(texture, 1)[0]
     repeat = pointer_at(model + offsets[_REPEAT]) + 8 * material
-    row[REPEAT:UNIFORM] = floats(repeat, 2)
+    copy_into(row, REPEAT, floats(repeat, 2))
     row[UNIFORM] = flag_at(pointer_at(model + offsets[_UNIFORM]) + material)

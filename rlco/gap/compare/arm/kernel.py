@@ -8,6 +8,7 @@ from numba import njit
 
 from rlco.gap.logs.log import Array
 from rlco.physics.effects.step_forces import set_friction, set_torques
+from rlco.physics.mj.copying import copy_into
 from rlco.physics.mj.libmujoco import mj_fwdActuation, mj_step, mj_step1, mj_step2
 
 
@@ -30,7 +31,7 @@ def roll_out(
         for row in range(len(read)):
             track[step, read[row, 0]] += qpos[read[row, 1]]
         if step < len(commands):
-            ctrl[:] = commands[step]
+            copy_into(ctrl, 0, commands[step])
             mj_step(model, data)
 
 
@@ -99,7 +100,7 @@ def roll_out_forces(
             v.own,
             v.friction,
         )
-        v.ctrl[:] = commands[step]
+        copy_into(v.ctrl, 0, commands[step])
         if dof >= 0:
             v.applied[dof] = 0.0
         if forces.torque.rows.shape[0]:

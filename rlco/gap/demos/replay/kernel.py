@@ -6,9 +6,11 @@ from typing import Any
 
 from numba import njit
 
+from rlco.physics.mj.compiling import inner
+from rlco.physics.mj.copying import copy_into
 from rlco.physics.mj.libmujoco import doubles
 from rlco.physics.native.arm_kernels import control_step
-from rlco.physics.native.kernels import FINGERS, JOINTS, TOOL, TURN, read_features
+from rlco.physics.native.kernels import JOINTS, TOOL, TURN, read_features
 from rlco.physics.native.world_memory import SITE_MAT, SITE_POS, scratch
 
 
@@ -50,11 +52,11 @@ def roll_out_range(
                     _report_encoders(control, memory.observed[e], tracked, out[e, t])
 
 
-@njit(nogil=True, cache=True)
+@inner
 def _report_encoders(control: Any, observed: Any, tracked: Any, out: Any) -> None:
     """Overwrite a world's robot features with the report of its encoders."""
-    out[TOOL:TURN] = doubles(observed[SITE_POS] + 24 * tracked.site, 3)
-    out[TURN:FINGERS] = doubles(observed[SITE_MAT] + 72 * tracked.site, 9)
+    copy_into(out, TOOL, doubles(observed[SITE_POS] + 24 * tracked.site, 3))
+    copy_into(out, TURN, doubles(observed[SITE_MAT] + 72 * tracked.site, 9))
     reported = control.acting.reported
     for i in range(tracked.arm_qpos.shape[0]):
         at = tracked.arm_qpos[i]
