@@ -6,6 +6,7 @@ import contextlib
 import logging
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from math import prod
 from pathlib import Path
 from typing import Any, Literal
 
@@ -18,6 +19,7 @@ from rlco.data.augment import Augmentation
 from rlco.data.instructions import InstructionFromId
 from rlco.data.resize import images_of
 from rlco.errors import ConfigError, DataError, OutputExistsError, counted, suggest
+from rlco.files.sizes import check_held
 from rlco.keys import (
     ACTION,
     CHUNK,
@@ -154,7 +156,8 @@ def load_demos(
         memmap: A new folder for the rows, memory-mapped; None keeps them in memory.
 
     Raises:
-        DataError: The data set cannot be used as it is; the message says why.
+        DataError: The data set cannot be used as it is, or what is to be loaded needs
+            more than half of the memory; the message says why.
         ConfigError: ``chunk`` is not a positive integer.
         RlcoError: `image_size` is no height and width.
         OutputExistsError: The ``memmap`` folder exists.
@@ -173,6 +176,7 @@ def load_demos(
     _check_sizes(folder, sizes)
     camera = _choose_camera(folder, image_key)
     features = list(camera.values()) if isinstance(camera, Mapping) else [camera]
+    _check_memory(folder, chunk, features, image_size, memmap)
     texts = tuple(folder.tasks[i] for i in sorted(folder.tasks))
     if instructions is not None:
         texts = tuple(instructions)
@@ -303,6 +307,37 @@ def _check_sizes(folder: LeRobotFolder, sizes: Mapping[str, int | None]) -> None
                 "data set of the same robot and task, or rename= the feature that is "
                 "meant (sft trains on another robot's data with task=null)."
             )
+
+
+def _check_memory(
+    folder: LeRobotFolder,
+    chunk: int,
+    cameras: Sequence[str | None],
+    image_size: tuple[int, int] | None,
+    memmap: str | Path | None,
+) -> None:
+    """Check that there is memory for all chunks, and for images that stay in memory."""
+    frames = sum(episode.length for episode in folder.episodes)
+    whole = f"of the {frames} frames of data set {str(folder.path)!r}"
+    # Its actions (float32), where they come from (int64, twice) and what is padding.
+    step = 4 * folder.feature(_ACTION).size + 17
+    check_held(
+        frames * chunk * step,
+        f"chunks of {chunk} steps {whole}",
+        "give a smaller chunk=, or some of the episodes with episodes=",
+    )
+    if memmap is None:
+        pixels = [
+            folder.feature(one).size if image_size is None else 3 * prod(image_size)
+            for one in cameras
+            if one is not None
+        ]
+        check_held(
+            frames * sum(pixels),
+            f"the images {whole}",
+            "give memmap= a new folder to keep them in, a smaller image_size=, or some "
+            "of the episodes with episodes=",
+        )
 
 
 def _choose_camera(

@@ -16,6 +16,7 @@ from torchrl.data.vla.schema import validate_vla_tensordict
 from rlco.data import DemoWriter, load_demos
 from rlco.data.demos import chunk_indices
 from rlco.errors import ConfigError, DataError, OutputExistsError, RlcoError
+from rlco.files import sizes
 from rlco.keys import (
     ACTION,
     CHUNK,
@@ -240,3 +241,28 @@ def test_real_data_set_loads_without_its_missing_videos() -> None:
     assert buffer.sample(4)[CHUNK].shape == (4, 8, 26)
     assert buffer.meta.action_names[0] == "kLeftShoulderPitch"
     assert buffer.meta.instructions == ("Pick up the yellow bottle on the table.",)
+
+
+def test_what_does_not_fit_into_memory_is_refused_before_it_is_read(
+    demos: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Five frames of 72 bytes are 360; a step of a chunk is 2 actions of 4 bytes, two
+    # indices of 8 and a flag: 25 bytes, so chunks of two of five frames take 250.
+    monkeypatch.setattr(sizes, "_memory", lambda: 2 * 359)
+    with pytest.raises(DataError, match=r"the images of the 5 frames .* memmap="):
+        load_demos(demos, chunk=2)
+    load_demos(demos, chunk=2, image_key=False)
+    load_demos(demos, chunk=2, image_size=(4, 4))  # 240 bytes
+    with pytest.raises(DataError, match=r"chunks of 3 steps of the 5 frames"):
+        load_demos(demos, chunk=3, image_key=False)  # 375 bytes
+    monkeypatch.setattr(sizes, "_memory", lambda: 2 * 360)
+    load_demos(demos, chunk=2)
+
+
+def test_a_memory_map_holds_what_memory_does_not(
+    demos: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # Enough for all chunks, 250 bytes, and one episode's images, 216; not for all 360.
+    monkeypatch.setattr(sizes, "_memory", lambda: 2 * 251)
+    mapped = load_demos(demos, chunk=2, memmap=tmp_path / "rows")
+    assert mapped.frames()[IMAGE][:, 0, 0, 0].tolist() == [0, 1, 2, 10, 11]
