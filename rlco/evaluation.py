@@ -241,7 +241,7 @@ def success_rates(
         rates[f"success_{domain}"] = result.rate
         if iteration is not None:
             log.info(
-                "rollout %d, success_%s: %.1f %%; %s",
+                "rollout %d in %s: %.1f%%; %s",
                 iteration,
                 domain,
                 100 * result.rate,
