@@ -14,6 +14,7 @@ import logging
 from dataclasses import dataclass
 from typing import Any, Literal
 
+from rlco.errors import ConfigError
 from rlco.run import Run, run_recipe
 from rlco.runs.config import REQUIRED, RunOptions, folder_name, option
 
@@ -86,9 +87,16 @@ def main(config: Config) -> None:
 
     load_code(config.effects_code)
     (domain,) = evaluation_domains(config.task, [config.domain]).values()
-    if config.videos:
-        check_filmed(config.task)
     policy = load_task_policy(config.policy, named_task(config.task))
+    if config.renderer is not None and policy.image_size is None:
+        raise ConfigError(
+            [
+                f"renderer={config.renderer} draws what a policy reads, but policy "
+                f"{config.policy!r} reads no images; leave it out"
+            ]
+        )
+    if config.videos:
+        check_filmed(config.task, policy, config.renderer)
     if config.guidance is not None:
         policy.set_guidance(config.guidance)
     check_rendered(policy, config.task, config.renderer)
@@ -124,6 +132,8 @@ def main(config: Config) -> None:
         )
         if config.look:
             row["look"] = config.look
+        if config.renderer:
+            row["renderer"] = config.renderer
         if config.guidance is not None:
             row["guidance"] = config.guidance
         run.save_results([row])

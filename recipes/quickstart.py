@@ -47,14 +47,17 @@ SHARED = ["seed", "threads", "keep_checkpoints", "task", "eval_domains", "effect
 def stage_one(config: Config, demos: dict[str, str], method: str) -> StageOneOptions:
     """Return the options of a run of Stage I."""
     # Scenes are simulated, and real_only is to know nothing of a simulator.
-    scenes = {} if method == "real_only" else group_values(config, PretrainingOptions)
+    scenes: dict[str, Any] = {}
+    if method != "real_only":
+        scenes = group_values(config, PretrainingOptions)
+    if scenes and config.pretrain_scenes:
+        scenes["pretrain_domain"] = config.train_domain
     return StageOneOptions(
         name=method,
         sim_demos=demos["sim"],
         real_demos=demos["real"],
         sim_ratio=0.0 if method == "real_only" else config.sim_ratio,
         updates=config.updates,
-        pretrain_domain=config.train_domain,
         **scenes,
         **{name: getattr(config, name) for name in SHARED},
         **group_values(config, PolicyOptions),

@@ -15,6 +15,7 @@ import logging
 from dataclasses import dataclass
 from typing import Literal
 
+from rlco.errors import ConfigError
 from rlco.run import run_recipe
 from rlco.runs.config import LAST_SEED, REQUIRED, option
 
@@ -70,6 +71,10 @@ def main(config: Config) -> None:
 
     load_code(config.effects_code)
     check_look(config.look, config.image_size)
+    if config.camera is None and config.video:
+        raise ConfigError(
+            ["video=true is of images, but none are recorded; give camera=agentview"]
+        )
     cameras = camera_list(config.camera or "")
     frames = record_demonstrations(
         config.out,

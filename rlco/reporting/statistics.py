@@ -22,8 +22,8 @@ class ResultRow(TypedDict):
     those that were solved after some decision, ``lost`` the latter without the former.
     ``outcomes`` and ``ever`` say the same of each episode, 0 or 1, in the order of the
     initial states, which ``states_seed`` draws. Rows of older files lack these five.
-    ``look`` is there where images had another look than the domain's, ``guidance``
-    where a policy was given another weight of guidance than it was saved with.
+    ``look`` is there where images had another look than the domain's, ``renderer`` and
+    ``guidance`` where a policy was given another one than it was saved with.
     """
 
     method: str
@@ -40,6 +40,7 @@ class ResultRow(TypedDict):
     ever: NotRequired[list[int]]
     states_seed: NotRequired[int]
     look: NotRequired[str]
+    renderer: NotRequired[str]
     guidance: NotRequired[float]
 
 

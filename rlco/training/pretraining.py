@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
 from rlco.errors import ConfigError, DataError
@@ -53,6 +53,14 @@ def check_pretraining(options: StageOneOptions) -> None:
     given = [name for name, is_wanted in wanted.items() if is_wanted]
     if given and options.image == "none":
         problems.append(f"{given[0]} belongs to images; give image=dense with it")
+    usual = {one.name: one.default for one in fields(options)}
+    if not options.pretrain_scenes:
+        problems += [
+            f"{name}={getattr(options, name)} is of labelled scenes, but "
+            "pretrain_scenes=0 draws none; give pretrain_scenes=8000 with it"
+            for name in ("pretrain_passes", "pretrain_shift", "pretrain_domain")
+            if getattr(options, name) != usual[name]
+        ]
     if options.pretrain_scenes and (
         options.task is None or options.task.startswith(PREFIX)
     ):
@@ -93,7 +101,8 @@ def check_pretraining(options: StageOneOptions) -> None:
 
 def say_unlabelled(options: StageOneOptions) -> None:
     """Say so where an encoder for labelled scenes learns from demonstrations alone."""
-    if options.image == "dense" and not options.pretrain_scenes:
+    # A policy of real demonstrations alone may have no simulator to draw scenes in.
+    if options.image == "dense" and not options.pretrain_scenes and options.alpha > 0:
         log.warning(
             "image=dense learns from demonstrations alone, whose images are too few "
             "for it; give pretrain_scenes=8000 image_fixed=true, or image=conv"

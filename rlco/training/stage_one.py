@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rlco.errors import ConfigError
@@ -175,7 +176,7 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
     )
     check_held_out(demos)
     if image_size is not None:
-        say_drawn_otherwise(demos, options.renderer)
+        say_drawn_otherwise(demos[1:], options.renderer)
         say_unlabelled(options)
     if image_size is None and not poses:
         say_blind(demos)
@@ -204,11 +205,13 @@ def check_held_out(demos: StageOneDemos) -> None:
             )
 
 
-def say_drawn_otherwise(demos: StageOneDemos, renderer: str) -> None:
+def say_drawn_otherwise(
+    demos: Iterable[DemoReplayBuffer | None], renderer: str
+) -> None:
     """Say so where a simulator's images were drawn by another renderer."""
-    for one in demos.present():
-        drawn = one.meta.recorded.get("renderer")
-        if drawn not in (None, renderer):
+    for one in demos:
+        drawn = None if one is None else one.meta.recorded.get("renderer")
+        if one is not None and drawn not in (None, renderer):
             log.warning(
                 "%s was drawn by renderer=%s, but the policy's images are drawn by %s; "
                 "record it again, or give renderer=%s",

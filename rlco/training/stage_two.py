@@ -89,9 +89,11 @@ def load_stage_two(options: StageTwoOptions) -> tuple[ChunkPolicy, StageTwoDemos
         DataError: A data set that does not fit the task.
     """
     from rlco.data import load_task_demos
+    from rlco.physics.spec.domain import FINAL_DOMAINS
     from rlco.physics.tasks.named_task import named_task
     from rlco.policies import load_task_policy
     from rlco.training.pretraining import with_features
+    from rlco.training.stage_one import say_drawn_otherwise
 
     task = named_task(options.task)
     policy = load_task_policy(options.policy, task)
@@ -100,6 +102,13 @@ def load_stage_two(options: StageTwoOptions) -> tuple[ChunkPolicy, StageTwoDemos
     check_stage_two(options)
     check_rendered(policy, options.task)
     check_look(options.look, policy.image_size)
+    if options.look in FINAL_DOMAINS:
+        raise ConfigError(
+            [
+                f"look={options.look} is for final evaluations alone; train with "
+                "look=random, or leave it out"
+            ]
+        )
     check_images(options, policy)
 
     def load(path: str | None, episodes: list[int] | None) -> DemoReplayBuffer | None:
@@ -125,6 +134,8 @@ def load_stage_two(options: StageTwoOptions) -> tuple[ChunkPolicy, StageTwoDemos
         ),
     )
     augment(options, demos.real)
+    if policy.image_size is not None:
+        say_drawn_otherwise(demos, policy.renderer)
     if options.image_fixed:
         policy.fix_images()
         demos = StageTwoDemos(*(one and with_features(policy, one) for one in demos))

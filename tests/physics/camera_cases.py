@@ -77,15 +77,17 @@ class Truth:
         self._options.geomgroup[0] = 0
         self._options.sitegroup[:] = 0
 
-    def agrees(self, data: mujoco.MjData, channels: Channels) -> NDArray[np.bool_]:
+    def agrees(
+        self, data: mujoco.MjData, channels: Channels, camera: str = "agentview"
+    ) -> NDArray[np.bool_]:
         """Return where the geom is equal, or the depth within 1 mm."""
         renderer = self._renderer
         renderer.enable_segmentation_rendering()
-        renderer.update_scene(data, "agentview", self._options)
+        renderer.update_scene(data, camera, self._options)
         geoms = renderer.render()[..., 0].copy()
         renderer.disable_segmentation_rendering()
         renderer.enable_depth_rendering()
-        renderer.update_scene(data, "agentview", self._options)
+        renderer.update_scene(data, camera, self._options)
         depth = renderer.render().copy()
         renderer.disable_depth_rendering()
         return (geoms == channels.geom) | (np.abs(depth - channels.depth) < 1e-3)

@@ -21,13 +21,16 @@ from recipe_cases import RL_CO, SFT, Assets, refused, start
 from torch.testing import assert_close
 
 from rlco.data import load_demos, load_task_demos
+from rlco.errors import RenderingError
 from rlco.keys import ENVIRONMENT_STATE, IMAGE
 from rlco.physics.spec.domain import make_domain
 from rlco.physics.tasks.make_task import make_task
 from rlco.policies import load_policy
 from rlco.runs.metrics import read_metrics
-from rlco.training.options.policy_options import FlowOptions
+from rlco.training.options.policy_options import FlowOptions, check_filmed
+from rlco.training.options.stage_two_options import StageTwoOptions
 from rlco.training.stage_one import new_policy
+from rlco.training.stage_two import load_stage_two
 from rlco.videos import same_scene
 
 SEEN = ("image=conv", "image_size=64")
@@ -118,8 +121,61 @@ def test_a_policy_that_sees_goes_through_stage_two_and_is_filmed(
     assert row["grad_norm_real"] > 0
     assert row["imitation_error_heldout"] != before["imitation_error_heldout"]
     filmed = [f"policy={folder / 'policy'}", "episodes=1", "videos=1"]
-    start("evaluate", *filmed, out(tmp_path / "evaluation"))
+    start("evaluate", *filmed, "renderer=opengl", out(tmp_path / "evaluation"))
     assert (tmp_path / "evaluation" / "videos" / "sim_0.mp4").stat().st_size > 1000
+    (row,) = json.loads((tmp_path / "evaluation" / "results.json").read_text())["rows"]
+    assert row["renderer"] == "opengl"
+
+
+def test_rl_in_the_look_of_final_tables_is_refused(
+    seen: Seen, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    given = [f"policy={seen.sft / 'policy'}", "real_coeff=0", "look=locked"]
+    line = refused(capsys, "rl_co", *given, out(tmp_path / "rl"))
+    assert "look=locked is for final evaluations alone" in line
+    assert "look=random" in line
+    assert not (tmp_path / "rl").exists()
+
+
+def test_a_renderer_for_a_policy_that_reads_no_images_is_refused(
+    assets: Assets, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    given = [f"policy={assets.sft / 'policy'}", "renderer=raster"]
+    line = refused(capsys, "evaluate", *given, out(tmp_path / "evaluation"))
+    assert "renderer=raster draws what a policy reads" in line
+
+
+def test_only_films_by_opengl_need_it(
+    seen: Seen, assets: Assets, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail() -> None:
+        raise RenderingError("egl", "not found")
+
+    monkeypatch.setattr("rlco.physics.rendering.renderers.check_rendering", fail)
+    by_raster, _ = load_policy(seen.sft / "policy")
+    on_poses, _ = load_policy(assets.sft / "policy")
+    check_filmed("push_cube", by_raster)
+    for given in [("push_cube", by_raster, "opengl"), ("push_cube", on_poses)]:
+        with pytest.raises(RenderingError):
+            check_filmed(*given)
+
+
+def test_stage_two_tells_of_demonstrations_drawn_otherwise(
+    seen: Seen, tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    other = tmp_path / "real"
+    shutil.copytree(seen.real, other)
+    recorded = other / "meta" / "rlco.json"
+    content = json.loads(recorded.read_text())
+    recorded.write_text(json.dumps({**content, "renderer": "opengl"}))
+    options = StageTwoOptions(
+        policy=str(seen.sft / "policy"),
+        real_demos=str(seen.real),
+        heldout_demos=str(other),
+    )
+    load_stage_two(options)
+    (said,) = [r.getMessage() for r in caplog.records if "was drawn" in r.getMessage()]
+    assert said.startswith(f"{other} was drawn by renderer=opengl")
 
 
 def test_a_resumed_run_draws_the_same_shifts(seen: Seen, tmp_path: Path) -> None:
@@ -144,6 +200,15 @@ def test_a_resumed_run_draws_the_same_shifts(seen: Seen, tmp_path: Path) -> None
         (["image=mobilenet"], ["image_weights=mobilenet_v2-b0353104.pth"]),
         (["image=mobilenet", "image_weights=no.pth"], ["cannot read", "'no.pth'"]),
         (["image_weights=no.pth"], ["image_weights", "image=mobilenet"]),
+        (
+            ["camera=robot0_eye_in_hand", "image_size=128"],
+            ["camera=robot0_eye_in_hand is of images", "image_size=128", "image=dense"],
+        ),
+        (["image_frozen=false"], ["image_frozen=false is of images"]),
+        (
+            ["image=dense", "pretrain_passes=30"],
+            ["pretrain_passes=30 is of labelled scenes", "pretrain_scenes=8000"],
+        ),
         (["augment=true"], ["augment=true", "image=conv"]),
         (["use_environment_state=false"], ["use_environment_state", "image=conv"]),
         ([*SEEN, "real_camera=front"], ["no camera 'front'", "agentview"]),
@@ -164,11 +229,29 @@ def test_options_of_pictures_that_cannot_be(
     assert not (tmp_path / "out").exists()
 
 
+def test_a_camera_that_evaluations_lack_is_refused_before_training(
+    seen: Seen, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    # Real data of one camera, whatever it is called there.
+    given = [f"real_demos={seen.real}", "sim_ratio=0", *SEEN, "camera=agentviw"]
+    blind = "use_environment_state=false"
+    line = refused(capsys, "sft", *given, blind, out(tmp_path / "out"))
+    assert "unknown camera 'agentviw'" in line
+    assert "mean 'agentview'" in line
+    assert not (tmp_path / "out").exists()
+
+
 @pytest.mark.parametrize(
     ("recipe", "options", "words"),
     [
         ("record_demos", ["camera=agentview"], ["camera and image_size", "both"]),
         ("record_demos", ["image_size=64"], ["camera and image_size", "both"]),
+        ("record_demos", ["video=true"], ["video=true is of images", "camera="]),
+        (
+            "quickstart",
+            ["image=dense", "camera=agentviw"],
+            ["unknown camera 'agentviw'", "mean 'agentview'"],
+        ),
         ("quickstart", ["image=mobilenet"], ["image_weights="]),
         ("quickstart", ["augment=true"], ["augment=true", "image=conv"]),
         ("quickstart", ["policy=token", "token.heads=3"], ["heads must divide width"]),

@@ -18,6 +18,8 @@ from rlco.physics.rendering.raster_textures import Textures, read_textures
 Integers = NDArray[np.int64]
 Singles = NDArray[np.float32]
 
+# As MuJoCo shows by default, without robosuite's collision geoms, which are group 0.
+SHOWN_GROUPS = (1, 2)
 # Sizes of detail for which meshes are simplified, in pixels at 1 m from the camera.
 DETAILS = (0.25, 0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
 # The same for a camera on the robot, which comes close to what it sees.
@@ -63,7 +65,7 @@ def make_scene(model: mujoco.MjModel, camera: int, height: int) -> Scene:
     fixed = is_fixed(model, int(model.cam_bodyid[camera]))
     pixel = 2.0 * np.tan(np.deg2rad(model.cam_fovy[camera]) / 2) / height
     cells = tuple(float(pixel * d) for d in (DETAILS if fixed else CLOSE_DETAILS))
-    drawn = [g for g in range(model.ngeom) if model.geom_group[g] != 0]
+    drawn = [g for g in range(model.ngeom) if model.geom_group[g] in SHOWN_GROUPS]
     drawn.sort(key=lambda g: not is_fixed(model, int(model.geom_bodyid[g])))
     found = {
         g: [s for s in shape_levels(model, g, cells) if s.faces.size] for g in drawn

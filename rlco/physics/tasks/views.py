@@ -130,7 +130,8 @@ class Views:
                     exposed.size,
                     exposed,
                     self._rows[name],
-                    keys + np.uint64(number) * _BESIDE,
+                    # Of an array, where a product that wraps around is no mistake.
+                    keys + np.array([number], np.uint64) * _BESIDE,
                     images,
                 )
 

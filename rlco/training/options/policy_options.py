@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 #: Adam's first step is ten times the learning rate, which float32 must hold.
 LARGEST_LR = 1e37
+#: What every scene of robosuite's has; it may have others.
+USUAL_CAMERAS = {"agentview", "robot0_eye_in_hand"}
 
 
 def camera_list(text: str) -> list[str]:
@@ -175,6 +177,14 @@ def check_image_options(options: PolicyOptions) -> None:
         ConfigError: They contradict each other; every problem is reported.
     """
     problems = []
+    if options.image == "none":
+        usual = {one.name: one.default for one in fields(PolicyOptions)}
+        problems += [
+            f"{name}={str(getattr(options, name)).lower()} is of images, and image=none"
+            " reads none; give image=dense or image=conv with it, or leave it out"
+            for name in ("camera", "image_size", "image_frozen")
+            if getattr(options, name) != usual[name]
+        ]
     if options.image == "none" and not options.use_environment_state:
         problems.append(
             "use_environment_state=false leaves no observation of the objects; "
@@ -201,9 +211,14 @@ def check_rendered(policy: ChunkPolicy, task: str, renderer: str | None = None) 
     Raises:
         RlcoError: The task's environments have no images.
         RenderingError: Nothing can render.
+        UnknownNameError: The task's scene has no camera of such a name.
     """
+    from rlco.physics.native.stepper import NativeStepper
+    from rlco.physics.rendering.camera import camera_id
     from rlco.physics.rendering.renderers import check_can_render
     from rlco.physics.robosuite.options import PREFIX
+    from rlco.physics.spec.domain import make_domain
+    from rlco.physics.tasks.make_task import make_task
 
     if policy.image_size is None:
         return
@@ -212,7 +227,12 @@ def check_rendered(policy: ChunkPolicy, task: str, renderer: str | None = None) 
             f"images are not supported for {task!r}, one of robosuite's own tasks; "
             "give image=none, or one of rlco's tasks."
         )
-    check_can_render(renderer or policy.renderer)
+    drawn = renderer or policy.renderer
+    check_can_render(drawn)
+    if not set(policy.cameras) <= USUAL_CAMERAS:  # only a scene knows its cameras
+        scene = NativeStepper(make_task(task), make_domain("sim"), num_envs=1)
+        for name in policy.cameras:
+            camera_id(scene.model, name)
 
 
 def check_look(look: str | None, image_size: object) -> None:
@@ -237,14 +257,22 @@ def check_look(look: str | None, image_size: object) -> None:
         )
 
 
-def check_filmed(task: str) -> None:
+def check_filmed(
+    task: str, policy: ChunkPolicy | None = None, renderer: str | None = None
+) -> None:
     """Check that the simulator can film a task.
+
+    Args:
+        task: The task's name.
+        policy: What is filmed. If it reads images, these are the film; otherwise OpenGL
+            draws it.
+        renderer: What is to draw what it reads; None: what it was trained with.
 
     Raises:
         RlcoError: The task's environments have no images.
         RenderingError: Nothing can render.
     """
-    from rlco.physics.rendering.camera import check_rendering
+    from rlco.physics.rendering.renderers import check_can_render
     from rlco.physics.robosuite.options import PREFIX
 
     if task.startswith(PREFIX):
@@ -252,7 +280,10 @@ def check_filmed(task: str) -> None:
             f"{task!r}, one of robosuite's own tasks, cannot be filmed; give videos=0, "
             "or one of rlco's tasks."
         )
-    check_rendering()
+    if policy is None or policy.image_size is None:
+        check_can_render("opengl")
+    else:
+        check_can_render(renderer or policy.renderer)
 
 
 def new_policy(options: PolicyOptions, *, task: Any, **sizes: Any) -> ChunkPolicy:

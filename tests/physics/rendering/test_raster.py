@@ -101,6 +101,13 @@ def test_a_transparent_geom_is_blended_twice_and_has_no_depth() -> None:
     assert channels.depth[16, 16] == pytest.approx(1.8, abs=1e-5)
 
 
+@pytest.mark.parametrize(("group", "seen"), [(0, -1), (1, 0), (2, 0), (3, -1), (5, -1)])
+def test_groups_show_that_mujoco_shows(group: int, seen: int) -> None:
+    # But for group 0, robosuite's collision geoms; many models have theirs in group 3.
+    channels = drawn(f"<geom group='{group}' type='box' size='.4 .3 .2'/>")
+    assert channels.geom[16, 16] == seen
+
+
 def test_no_gap_is_left_between_triangles() -> None:
     # A mesh of many triangles before a camera: no pixel shows what is behind.
     wall = geom("type='plane' size='9 9 1' pos='0 0 -5' rgba='1 0 0 1'")
@@ -218,23 +225,26 @@ def test_both_backends_draw_the_same_start() -> None:
 # -- Against MuJoCo's own renderer --------------------------------------------------
 
 
-def shares(task: str, episodes: int, rounds: int) -> Iterator[float]:
+def shares(
+    task: str, episodes: int, rounds: int, view: str = "agentview"
+) -> Iterator[float]:
     """Yield the share of pixels on which both renderers agree, of many states."""
     env = played(task, episodes, 1, seed=13)
     model = env.stepper.model
-    camera, truth = RasterCamera(model, SIZE), Truth(model, SIZE)
+    camera, truth = RasterCamera(model, SIZE, view), Truth(model, SIZE)
     state = env.reset()
     for _ in range(rounds):
         for data in env.stepper.data:
-            yield float(truth.agrees(data, camera.channels(data)).mean())
+            yield float(truth.agrees(data, camera.channels(data), view).mean())
         state = env.step_mdp(env.rand_step(state))
     truth.close()
 
 
 @NEEDS_GL
 @pytest.mark.parametrize("task", TASK_NAMES)
-def test_both_renderers_show_the_same(task: str) -> None:
-    found = list(shares(task, episodes=2, rounds=2))
+@pytest.mark.parametrize("view", ["agentview", "robot0_eye_in_hand"])
+def test_both_renderers_show_the_same(task: str, view: str) -> None:
+    found = list(shares(task, episodes=2, rounds=2, view=view))
     assert min(found) >= 0.98
 
 

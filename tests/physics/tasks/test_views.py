@@ -53,6 +53,20 @@ def test_one_thread_and_two_draw_the_same_bytes_of_random_looks() -> None:
     assert len(first) == 5  # each world has a look of its own
 
 
+def test_a_third_camera_has_a_noise_of_its_own() -> None:
+    cameras = (*CAMERAS, "frontview")
+    noisy, clean = (
+        env_in(look, renderer="raster", cameras=cameras).reset()["observation", "image"]
+        for look in (Look(noise=0.02), Look())
+    )
+    noise = [(noisy[name].float() - clean[name].float()).flatten() for name in cameras]
+    apart = torch.corrcoef(torch.stack(noise)) - torch.eye(3)
+    # Of 12,288 independent numbers: a correlation deviates by 0.009.
+    assert apart.abs().max() < 0.05
+    # Two hundredths of white, less where white or black cuts it off.
+    assert all(2.0 < one.std() < 5.5 for one in noise)
+
+
 def test_a_frame_never_shows_another_worlds_look() -> None:
     # Episodes of a batch, of which single worlds are begun anew, against the same
     # episodes alone.
