@@ -79,6 +79,7 @@ def main(config: Config) -> None:
     from rlco.physics.tasks.named_task import named_task
     from rlco.policies import load_task_policy
     from rlco.training.options.policy_options import (
+        check_film,
         check_filmed,
         check_look,
         check_rendered,
@@ -87,6 +88,8 @@ def main(config: Config) -> None:
 
     load_code(config.effects_code)
     (domain,) = evaluation_domains(config.task, [config.domain]).values()
+    if config.videos:
+        check_filmed(config.task)
     policy = load_task_policy(config.policy, named_task(config.task))
     if config.renderer is not None and policy.image_size is None:
         raise ConfigError(
@@ -96,7 +99,7 @@ def main(config: Config) -> None:
             ]
         )
     if config.videos:
-        check_filmed(config.task, policy, config.renderer)
+        check_film(policy, config.renderer)
     if config.guidance is not None:
         policy.set_guidance(config.guidance)
     check_rendered(policy, config.task, config.renderer)

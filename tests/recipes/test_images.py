@@ -27,7 +27,7 @@ from rlco.physics.spec.domain import make_domain
 from rlco.physics.tasks.make_task import make_task
 from rlco.policies import load_policy
 from rlco.runs.metrics import read_metrics
-from rlco.training.options.policy_options import FlowOptions, check_filmed
+from rlco.training.options.policy_options import FlowOptions, check_film
 from rlco.training.options.stage_two_options import StageTwoOptions
 from rlco.training.stage_one import new_policy
 from rlco.training.stage_two import load_stage_two
@@ -154,10 +154,10 @@ def test_only_films_by_opengl_need_it(
     monkeypatch.setattr("rlco.physics.rendering.renderers.check_rendering", fail)
     by_raster, _ = load_policy(seen.sft / "policy")
     on_poses, _ = load_policy(assets.sft / "policy")
-    check_filmed("push_cube", by_raster)
-    for given in [("push_cube", by_raster, "opengl"), ("push_cube", on_poses)]:
+    check_film(by_raster)
+    for given in [(by_raster, "opengl"), (on_poses,)]:
         with pytest.raises(RenderingError):
-            check_filmed(*given)
+            check_film(*given)
 
 
 def test_stage_two_tells_of_demonstrations_drawn_otherwise(

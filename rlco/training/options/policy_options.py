@@ -257,22 +257,12 @@ def check_look(look: str | None, image_size: object) -> None:
         )
 
 
-def check_filmed(
-    task: str, policy: ChunkPolicy | None = None, renderer: str | None = None
-) -> None:
-    """Check that the simulator can film a task.
-
-    Args:
-        task: The task's name.
-        policy: What is filmed. If it reads images, these are the film; otherwise OpenGL
-            draws it.
-        renderer: What is to draw what it reads; None: what it was trained with.
+def check_filmed(task: str) -> None:
+    """Check that a task can be filmed.
 
     Raises:
-        RlcoError: The task's environments have no images.
-        RenderingError: Nothing can render.
+        RlcoError: Its environments have no images.
     """
-    from rlco.physics.rendering.renderers import check_can_render
     from rlco.physics.robosuite.options import PREFIX
 
     if task.startswith(PREFIX):
@@ -280,10 +270,22 @@ def check_filmed(
             f"{task!r}, one of robosuite's own tasks, cannot be filmed; give videos=0, "
             "or one of rlco's tasks."
         )
-    if policy is None or policy.image_size is None:
-        check_can_render("opengl")
-    else:
-        check_can_render(renderer or policy.renderer)
+
+
+def check_film(policy: ChunkPolicy, renderer: str | None = None) -> None:
+    """Check that a policy's film can be drawn.
+
+    Args:
+        policy: If it reads images, these are the film; otherwise OpenGL draws it.
+        renderer: What is to draw what it reads; None: what it was trained with.
+
+    Raises:
+        RenderingError: Nothing can draw it.
+    """
+    from rlco.physics.rendering.renderers import check_can_render
+
+    drawn = "opengl" if policy.image_size is None else renderer or policy.renderer
+    check_can_render(drawn)
 
 
 def new_policy(options: PolicyOptions, *, task: Any, **sizes: Any) -> ChunkPolicy:
