@@ -47,11 +47,11 @@ SHARED = ["seed", "threads", "keep_checkpoints", "task", "eval_domains", "effect
 def stage_one(config: Config, demos: dict[str, str], method: str) -> StageOneOptions:
     """Return the options of a run of Stage I."""
     # Scenes are simulated, and real_only is to know nothing of a simulator.
-    scenes: dict[str, Any] = {}
-    if method != "real_only":
-        scenes = group_values(config, PretrainingOptions)
+    scenes = {} if method == "real_only" else group_values(config, PretrainingOptions)
     if scenes and config.pretrain_scenes:
         scenes["pretrain_domain"] = config.train_domain
+    elif scenes:
+        del scenes["pretrain_passes"]  # image=dense implies some
     return StageOneOptions(
         name=method,
         sim_demos=demos["sim"],

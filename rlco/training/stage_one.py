@@ -99,7 +99,7 @@ def check_stage_one(
 ) -> ChunkPolicy:
     """Check what the options say of each other; return a policy that they describe."""
     from rlco.data.sim_real_buffer import batch_problems
-    from rlco.training.pretraining import check_pretraining
+    from rlco.training.pretraining_checks import check_pretraining
 
     policy_options.check_image_options(options)
     check_pretraining(options)
@@ -120,7 +120,10 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
         DataError: A data set that does not fit the task.
     """
     from rlco.data import load_task_demos
-    from rlco.training.pretraining import check_positions, say_unlabelled
+    from rlco.training.pretraining_checks import (
+        check_positions,
+        say_unlabelled,
+    )
 
     needed = _needs(options)
     task = None if options.task is None else task_of(options)

@@ -29,6 +29,7 @@ from rlco.policies import load_policy
 from rlco.runs.metrics import read_metrics
 from rlco.training.options.policy_options import FlowOptions, check_film
 from rlco.training.options.stage_two_options import StageTwoOptions
+from rlco.training.pretraining_checks import check_pretraining
 from rlco.training.stage_one import new_policy
 from rlco.training.stage_two import load_stage_two
 from rlco.videos import same_scene
@@ -303,6 +304,22 @@ def test_quickstart_hands_its_options_on() -> None:
         assert stage.augment
         assert stage.eval_domains == ["sim"]
         assert stage.effects_code == "mine.py"
+
+
+def test_quickstart_draws_labelled_scenes_where_rl_trains() -> None:
+    quickstart: Any = importlib.import_module("quickstart")
+    nowhere = {"sim": "", "real": "", "heldout": ""}
+    given = {"image": "dense", "pretrain_passes": 15, "train_domain": "stand_in"}
+    config = quickstart.Config(**given, pretrain_scenes=8000)
+    one = quickstart.stage_one(config, nowhere, "sft")
+    assert (one.pretrain_scenes, one.pretrain_domain) == (8000, "stand_in")
+    # Nothing is said of passes that nobody gave, and none are made.
+    for without in (
+        quickstart.stage_one(config, nowhere, "real_only"),
+        quickstart.stage_one(quickstart.Config(**given), nowhere, "sft"),
+    ):
+        assert without.pretrain_scenes == 0
+        check_pretraining(without)
 
 
 def test_a_scene_is_the_same_in_every_domain() -> None:

@@ -15,7 +15,7 @@ from rlco.policies import load_policy
 from rlco.runs.metrics import read_metrics
 from rlco.runs.state_files import load_state
 from rlco.training.options.stage_one_options import StageOneOptions
-from rlco.training.pretraining import say_unlabelled
+from rlco.training.pretraining_checks import say_unlabelled
 
 DENSE = ("image=dense", "image_size=64", "use_environment_state=false")
 SCENES = ("pretrain_scenes=70", "pretrain_passes=2")
@@ -85,6 +85,8 @@ def test_an_encoder_that_learns_without_labels_is_warned_of(
     caplog.clear()
     say_unlabelled(StageOneOptions(image="dense", pretrain_scenes=70))
     say_unlabelled(StageOneOptions(image="conv"))
+    # Of real demonstrations alone, as real_only of quickstart, which has no scenes.
+    say_unlabelled(StageOneOptions(image="dense", sim_ratio=0.0))
     assert not caplog.records
 
 

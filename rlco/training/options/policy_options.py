@@ -161,6 +161,22 @@ def group_values(options: RunOptions, group: type[RunOptions]) -> dict[str, Any]
     return {name: getattr(options, name) for name in names}
 
 
+def changed(options: RunOptions, *names: str) -> list[str]:
+    """Return those of some options that have another value than by default.
+
+    Example:
+        >>> changed(AugmentOptions(augment=True), "augment", "augment_shift")
+        ['augment=true']
+    """
+    usual = {entry.name: entry.default for entry in fields(options)}
+    values = {name: getattr(options, name) for name in names}
+    return [
+        f"{name}={str(value).lower() if isinstance(value, bool) else value}"
+        for name, value in values.items()
+        if value != usual[name]
+    ]
+
+
 def augment(options: AugmentOptions, *sets: DemoReplayBuffer | None) -> None:
     """Let demonstrations be augmented as they are drawn, where the options say so."""
     from rlco.data import Augmentation
@@ -178,12 +194,10 @@ def check_image_options(options: PolicyOptions) -> None:
     """
     problems = []
     if options.image == "none":
-        usual = {one.name: one.default for one in fields(PolicyOptions)}
         problems += [
-            f"{name}={str(getattr(options, name)).lower()} is of images, and image=none"
-            " reads none; give image=dense or image=conv with it, or leave it out"
-            for name in ("camera", "image_size", "image_frozen")
-            if getattr(options, name) != usual[name]
+            f"{given} is of images, and image=none reads none; give image=dense or "
+            "image=conv with it, or leave it out"
+            for given in changed(options, "camera", "image_size", "image_frozen")
         ]
     if options.image == "none" and not options.use_environment_state:
         problems.append(
