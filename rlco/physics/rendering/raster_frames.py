@@ -15,16 +15,16 @@ from numpy.typing import NDArray
 
 from rlco.physics.mj.compiling import borrowed, inner
 from rlco.physics.mj.copying import copy_into, copy_matrix
-from rlco.physics.rendering.raster_places import CUT, LEVEL, look, place
-from rlco.physics.rendering.raster_scene import (
-    ID,
-    SKY,
-    STILL,
-    TWO_SIDED,
-    UNWRAPPED,
-    VERTICES,
+from rlco.physics.rendering.raster_cutting import (
+    Cutting,
+    make_cutting,
+    project_some,
 )
-from rlco.physics.rendering.raster_shading import COLOUR, RAY, WORK_ROWS, shade, sky
+from rlco.physics.rendering.raster_filling import GEOM, TRIANGLE
+from rlco.physics.rendering.raster_pixels import Pixels, make_pixels
+from rlco.physics.rendering.raster_places import CUT, LEVEL, look, place
+from rlco.physics.rendering.raster_scene import ID, STILL, TWO_SIDED, VERTICES
+from rlco.physics.rendering.raster_shading import shade
 from rlco.physics.rendering.raster_state import (
     GEOM_SIZE,
     LIGHT_SIZE,
@@ -32,13 +32,7 @@ from rlco.physics.rendering.raster_state import (
     RGBA,
     read_row,
 )
-from rlco.physics.rendering.raster_triangles import (
-    GEOM,
-    TRIANGLE,
-    draw_cut,
-    draw_triangles,
-    project,
-)
+from rlco.physics.rendering.raster_triangles import draw_triangles, project
 
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 # MuJoCo draws what is less opaque than this after the rest, blended over it.
@@ -71,13 +65,12 @@ class Scratch(NamedTuple):
     distance: NDArray[np.float32]  # from the camera (G,) [m]
     corners: NDArray[np.int32]  # of one geom, on the screen (2, V)
     inverse: NDArray[np.float32]  # their inverse depth (V,)
-    seen: NDArray[np.float32]  # their places in the camera's frame (3, V) [m]
-    outside: NDArray[np.uint8]  # the planes that they are beyond (V,)
+    cutting: Cutting  # the same of a geom that is cut
     depth: NDArray[np.float32]  # inverse depth of the frame, of one transparent geom
     shown: NDArray[np.int32]  # triangle and geom, of the same two (2, 2, h, w)
     lens: NDArray[np.float32]  # focal lengths, centre [pixels], world from camera (13,)
-    lights: NDArray[np.float32]  # see `raster_shading.shade`
-    pixel: NDArray[np.float32]  # working space of one pixel
+    lights: NDArray[np.float32]  # see `raster_lighting.light`
+    pixels: Pixels  # that are shaded together
 
 
 @inner
@@ -92,13 +85,12 @@ def _scratch(
         np.empty(geoms, np.float32),
         np.empty((2, numbers[VERTICES]), np.int32),
         np.empty(numbers[VERTICES], np.float32),
-        np.empty((3, numbers[VERTICES]), np.float32),
-        np.empty(numbers[VERTICES], np.uint8),
+        make_cutting(numbers[VERTICES]),
         np.empty((2, height, width), np.float32),
         np.empty((2, 2, height, width), np.int32),
         np.empty(13, np.float32),
         np.empty((lights, LIGHT_SIZE + 6), np.float32),
-        np.empty((WORK_ROWS, 6), np.float32),
+        make_pixels(),
     )
 
 
@@ -110,101 +102,38 @@ def _draw(scene: Any, g: int, layer: int, s: Any) -> None:
     first, last = scene.levels[level, 2], scene.levels[level, 3]
     two_sided = scene.geoms[g, TWO_SIDED] != 0
     points, depth, shown = scene.points[:, start:end], s.depth[layer], s.shown[layer]
-    if s.placed[g, CUT]:
-        draw_cut(
+    cut = s.placed[g, CUT] != 0
+    if cut:
+        height, width = depth.shape
+        project_some(
             points,
-            scene.faces,
-            first,
-            last,
-            two_sided,
-            g,
             s.matrix[g],
             s.lens,
             scene.near,
+            height,
+            width,
             s.corners,
             s.inverse,
-            s.seen,
-            s.outside,
-            depth,
-            shown,
-            box,
+            s.cutting,
         )
     else:
         project(points, s.matrix[g], s.lens, scene.near, s.corners, s.inverse)
-        draw_triangles(
-            scene.faces,
-            first,
-            last,
-            two_sided,
-            g,
-            s.corners,
-            s.inverse,
-            depth,
-            shown,
-            box,
-        )
-
-
-@inner
-def _colour(
-    scene: Any,
-    geoms_at: int,
-    layer: int,
-    box: Any,
-    share: Any,
-    with_sky: bool,
-    image: Any,
-    s: Any,
-) -> None:
-    """Colour the pixels of a box that show a triangle.
-
-    Args:
-        scene: `raster_scene.Scene`.
-        geoms_at: Where the geoms begin in a row.
-        layer: 0 for the frame, 1 for a transparent geom.
-        box: First and last row, first and last column, (4,).
-        share: Of the colour, over what the image shows.
-        with_sky: Colour the pixels that show none, too.
-        image: uint8 (3, height, width), written.
-        s: Working space.
-    """
-    lens, v, shown, depth = s.lens, s.pixel, s.shown[layer], s.depth[layer]
-    for y in range(box[0], box[1] + 1):
-        for x in range(box[2], box[3] + 1):
-            k = shown[TRIANGLE, y, x]
-            if k < 0 and not with_sky:
-                continue
-            v[RAY, 0] = (np.float32(x) + _HALF - lens[2]) / lens[0]
-            v[RAY, 1] = (np.float32(y) + _HALF - lens[3]) / lens[1]
-            v[RAY, 2] = _ONE
-            if k < 0:
-                sky(scene.textures, scene.numbers[SKY], lens, v)
-            else:
-                g = shown[GEOM, y, x]
-                shade(
-                    s.row,
-                    geoms_at + GEOM_SIZE * g,
-                    s.lights,
-                    scene.points,
-                    scene.levels[s.placed[g, LEVEL], 0],
-                    scene.faces,
-                    scene.normals,
-                    k,
-                    scene.bounds,
-                    s.matrix,
-                    g,
-                    scene.geoms[g, UNWRAPPED] != 0,
-                    scene.textures,
-                    lens,
-                    _ONE / depth[y, x],
-                    v,
-                )
-            for c in range(3):
-                value = v[COLOUR, c]
-                if share < _ONE:
-                    behind = np.float32(image[c, y, x]) / np.float32(255.0)
-                    value = behind + share * (value - behind)
-                image[c, y, x] = np.uint8(np.float32(255.0) * value + _HALF)
+    draw_triangles(
+        scene.faces,
+        first,
+        last,
+        two_sided,
+        g,
+        s.corners,
+        s.inverse,
+        depth,
+        shown,
+        box,
+        cut,
+        scene.near,
+        s.lens,
+        s.cutting,
+    )
 
 
 @inner
@@ -362,7 +291,7 @@ def _draw_worlds(
                 if opaque and s.placed[g, LEVEL] >= 0:
                     _draw(scene, g, 0, s)
             with_sky = not (moving and kept)
-            _colour(scene, geoms_at, 0, whole, _ONE, with_sky, image, s)
+            shade(scene, geoms_at, 0, whole, _ONE, with_sky, image, s)
             if not moving:
                 copy_matrix(backgrounds.depth[slot], s.depth[0])
                 copy_matrix(backgrounds.geom[slot], s.shown[0, GEOM])
@@ -384,7 +313,7 @@ def _draw_worlds(
             # MuJoCo draws each twice, from the closest and back again.
             alpha = np.float32(s.row[geoms_at + GEOM_SIZE * g + RGBA + 3])
             share = _ONE - (_ONE - alpha) * (_ONE - alpha)
-            _colour(scene, geoms_at, 1, s.boxes[g], share, False, images[e], s)
+            shade(scene, geoms_at, 1, s.boxes[g], share, False, images[e], s)
             for y in range(top, below):
                 for x in range(left, beside):
                     if s.shown[1, TRIANGLE, y, x] >= 0:

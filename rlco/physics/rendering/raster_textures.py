@@ -111,10 +111,10 @@ def sample(
     u: Any,
     v: Any,
     reach: Any,
-    out: Any,
-    to: int,
-) -> None:
-    """Write a texture's colour at a place, averaged over what a pixel covers.
+) -> Any:
+    """Return a texture's red, green and blue at a place, shares of 1.
+
+    Averaged over what a pixel covers.
 
     Args:
         textures: `Textures`.
@@ -123,8 +123,6 @@ def sample(
         u: Place across the image, one image wide.
         v: The same downwards.
         reach: What a pixel covers, as a share of the image.
-        out: Written: the colour, shares of 1, to a row of it.
-        to: The row.
     """
     texels, levels, table = textures.texels, textures.levels, textures.table
     level, last = table[texture, 2], table[texture, 3] - 1
@@ -151,8 +149,11 @@ def sample(
         top: Any = np.int64(np.floor(y))
         across, down = x - np.float32(left), y - np.float32(top)
         right, below = left + 1, top + 1
-        if wraps:  # a division takes longer than a comparison
-            left, top = left % width, top % height
+        if wraps:  # a division takes longer than comparisons
+            if left < 0 or left >= width:
+                left %= width
+            if top < 0 or top >= height:
+                top %= height
             right = left + 1 if left + 1 < width else 0
             below = top + 1 if top + 1 < height else 0
         else:
@@ -167,9 +168,8 @@ def sample(
                 red += share * np.float32(texels[at])
                 green += share * np.float32(texels[at + 1])
                 blue += share * np.float32(texels[at + 2])
-    out[to, 0] = red / np.float32(255.0)
-    out[to, 1] = green / np.float32(255.0)
-    out[to, 2] = blue / np.float32(255.0)
+    full = np.float32(255.0)
+    return red / full, green / full, blue / full
 
 
 @inner
