@@ -25,7 +25,7 @@ class Cutting(NamedTuple):
     planes: NDArray[np.float32]  # inside: a x + b y + c z + d >= 0, (5, 4)
     seen: NDArray[np.float32]  # vertices in the camera's frame (3, V) [m]
     outside: NDArray[np.uint8]  # a bit for each plane that one is beyond (V,)
-    polygon: NDArray[np.float32]  # before and after a cut (2, 12, 3) [m]
+    polygon: NDArray[np.float32]  # corners before and after a cut (2, 3, 12) [m]
     corners: NDArray[np.int32]  # of the polygon, on the screen (2, 12)
     inverse: NDArray[np.float32]  # their inverse depths (12,)
 
@@ -37,7 +37,7 @@ def make_cutting(vertices: int) -> Any:
         np.zeros((5, 4), np.float32),
         np.empty((3, vertices), np.float32),
         np.empty(vertices, np.uint8),
-        np.empty((2, 12, 3), np.float32),
+        np.empty((2, 3, 12), np.float32),
         np.empty((2, 12), np.int32),
         np.empty(12, np.float32),
     )
@@ -121,17 +121,20 @@ def draw_part(
     """
     polygon, seen, corners = cutting.polygon, cutting.seen, cutting.corners
     for axis in range(3):
-        polygon[0, 0, axis] = seen[axis, i]
-        polygon[0, 1, axis] = seen[axis, j]
-        polygon[0, 2, axis] = seen[axis, n]
+        polygon[0, axis, 0] = seen[axis, i]
+        polygon[0, axis, 1] = seen[axis, j]
+        polygon[0, axis, 2] = seen[axis, n]
     count = _cut(polygon, cutting.planes)
-    xs, ys, zs = polygon[0, :, 0], polygon[0, :, 1], polygon[0, :, 2]
+    xs, ys, zs = polygon[0, 0], polygon[0, 1], polygon[0, 2]
     _to_screen(xs, ys, zs, near, lens, count, corners, cutting.inverse)
+    first: Any = np.int32(0)
     for corner in range(1, count - 1):
+        here: Any = np.int32(corner)
+        after: Any = np.int32(corner + 1)
         fill_within(
-            0,
-            corner,
-            corner + 1,
+            first,
+            here,
+            after,
             corners,
             cutting.inverse,
             two_sided,
@@ -177,21 +180,21 @@ def _cut(polygon: Any, planes: Any) -> int:
             after = (corner + 1) % count
             here, there = planes[plane, 3], planes[plane, 3]
             for axis in range(3):
-                here += planes[plane, axis] * polygon[0, corner, axis]
-                there += planes[plane, axis] * polygon[0, after, axis]
+                here += planes[plane, axis] * polygon[0, axis, corner]
+                there += planes[plane, axis] * polygon[0, axis, after]
             if here >= _ZERO:
                 for axis in range(3):
-                    polygon[1, kept, axis] = polygon[0, corner, axis]
+                    polygon[1, axis, kept] = polygon[0, axis, corner]
                 kept += 1
             if (here >= _ZERO) != (there >= _ZERO):
                 share = here / (here - there)
                 for axis in range(3):
-                    start = polygon[0, corner, axis]
-                    end = polygon[0, after, axis]
-                    polygon[1, kept, axis] = start + share * (end - start)
+                    start = polygon[0, axis, corner]
+                    end = polygon[0, axis, after]
+                    polygon[1, axis, kept] = start + share * (end - start)
                 kept += 1
         count = kept
         for corner in range(count):
             for axis in range(3):
-                polygon[0, corner, axis] = polygon[1, corner, axis]
+                polygon[0, axis, corner] = polygon[1, axis, corner]
     return count

@@ -40,6 +40,10 @@ OPAQUE = 0.995
 COMMON = 0  # the background that worlds share while they look alike
 # Detail that may be lost in a frame, and in a background, which is drawn once [pixels].
 DETAIL, FINE = np.float32(1.0), np.float32(0.5)
+# Of numbers and truths of numpy's numba compiles one function, of literals one each.
+_FRAME: Any = np.int64(0)  # layers of depth and of what is shown
+_GLASS: Any = np.int64(1)
+_NO_SKY: Any = np.bool_(False)
 
 
 class Backgrounds(NamedTuple):
@@ -289,9 +293,9 @@ def _draw_worlds(
                     s.boxes[g],
                 )
                 if opaque and s.placed[g, LEVEL] >= 0:
-                    _draw(scene, g, 0, s)
+                    _draw(scene, g, _FRAME, s)
             with_sky = not (moving and kept)
-            shade(scene, geoms_at, 0, whole, _ONE, with_sky, image, s)
+            shade(scene, geoms_at, _FRAME, whole, _ONE, with_sky, image, s)
             if not moving:
                 copy_matrix(backgrounds.depth[slot], s.depth[0])
                 copy_matrix(backgrounds.geom[slot], s.shown[0, GEOM])
@@ -309,11 +313,11 @@ def _draw_worlds(
                 for x in range(left, beside):
                     s.depth[1, y, x] = s.depth[0, y, x]
                     s.shown[1, TRIANGLE, y, x] = -1
-            _draw(scene, g, 1, s)
+            _draw(scene, g, _GLASS, s)
             # MuJoCo draws each twice, from the closest and back again.
             alpha = np.float32(s.row[geoms_at + GEOM_SIZE * g + RGBA + 3])
             share = _ONE - (_ONE - alpha) * (_ONE - alpha)
-            shade(scene, geoms_at, 1, s.boxes[g], share, False, images[e], s)
+            shade(scene, geoms_at, _GLASS, s.boxes[g], share, _NO_SKY, images[e], s)
             for y in range(top, below):
                 for x in range(left, beside):
                     if s.shown[1, TRIANGLE, y, x] >= 0:

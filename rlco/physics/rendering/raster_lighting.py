@@ -57,13 +57,14 @@ _NEXT, _LAST = PIXELS, 2 * PIXELS  # from x to y and z of the same pixel
 
 
 @inner
-def locate(v: Any) -> None:
-    """Write points, views, planes and normals of all pixels, from what was loaded.
+def locate(count: int, v: Any) -> None:
+    """Write points, views, planes and normals of pixels, from what was loaded.
 
     Args:
+        count: How many, from the first on.
         v: Values of `raster_pixels.Pixels`.
     """
-    for i in range(PIXELS):
+    for i in range(count):
         rx, ry, depth = v[RAY + i], v[RAY + _NEXT + i], v[DEPTH + i]
         v[POINT + i] = rx * depth
         v[POINT + _NEXT + i] = ry * depth
@@ -72,7 +73,7 @@ def locate(v: Any) -> None:
         v[VIEW + i] = -rx * scale
         v[VIEW + _NEXT + i] = -ry * scale
         v[VIEW + _LAST + i] = -scale
-    for i in range(PIXELS):
+    for i in range(count):
         px = v[POINT + i] - v[FRAME + 3 * PIXELS + i]
         py = v[POINT + _NEXT + i] - v[FRAME + 7 * PIXELS + i]
         pz = v[POINT + _LAST + i] - v[FRAME + 11 * PIXELS + i]
@@ -82,7 +83,7 @@ def locate(v: Any) -> None:
                 + v[FRAME + PIXELS * (4 + axis) + i] * py
                 + v[FRAME + PIXELS * (8 + axis) + i] * pz
             )
-    for i in range(PIXELS):
+    for i in range(count):
         ax, ay, az = v[CORNER + i], v[CORNER + _NEXT + i], v[CORNER + _LAST + i]
         ux, uy, uz = (
             v[SECOND + i] - ax,
@@ -133,10 +134,11 @@ def locate(v: Any) -> None:
 
 
 @inner
-def light(lights: Any, v: Any) -> None:
-    """Add the light that all pixels' points reflect to `COLOUR`, without textures.
+def light(count: int, lights: Any, v: Any) -> None:
+    """Add the light that pixels' points reflect to `COLOUR`, without textures.
 
     Args:
+        count: How many, from the first on.
         lights: The lights' numbers and, in the camera's frame, their directions and
             positions: (lights, LIGHT_SIZE + 6).
         v: Values of `raster_pixels.Pixels`, after `locate`.
@@ -146,16 +148,16 @@ def light(lights: Any, v: Any) -> None:
         if lights[number, LIGHT_ON] != _ZERO:
             dark = False
             if lights[number, LIGHT_PLACED] != _ZERO:
-                _from_a_place(lights, number, v)
+                _from_a_place(count, lights, number, v)
             else:
-                for i in range(PIXELS):
+                for i in range(count):
                     v[STRENGTH + i] = _ONE
                     for axis in range(3):
                         direction = lights[number, LIGHT_SIZE + axis]
                         v[LIGHT + PIXELS * axis + i] = -direction
-            _reflected(lights, number, v)
+            _reflected(count, lights, number, v)
     for c in range(3):
-        for i in range(PIXELS):
+        for i in range(count):
             colour = v[COLOUR + PIXELS * c + i]
             if dark:  # MuJoCo's light where there is none
                 colour += np.float32(0.3) * v[OWN_COLOUR + PIXELS * c + i]
@@ -163,7 +165,7 @@ def light(lights: Any, v: Any) -> None:
 
 
 @inner
-def _from_a_place(lights: Any, number: int, v: Any) -> None:
+def _from_a_place(count: int, lights: Any, number: int, v: Any) -> None:
     """Write direction and strength of a light that has a place."""
     at = LIGHT_SIZE
     dx, dy, dz = lights[number, at], lights[number, at + 1], lights[number, at + 2]
@@ -173,7 +175,7 @@ def _from_a_place(lights: Any, number: int, v: Any) -> None:
     linear = lights[number, ATTENUATION + 1]
     quadratic = lights[number, ATTENUATION + 2]
     narrow = cutoff > np.float32(-1.5)
-    for i in range(PIXELS):
+    for i in range(count):
         lx = x - v[POINT + i]
         ly = y - v[POINT + _NEXT + i]
         lz = z - v[POINT + _LAST + i]
@@ -188,17 +190,17 @@ def _from_a_place(lights: Any, number: int, v: Any) -> None:
         weaker = constant + linear * np.sqrt(square) + quadratic * square
         v[STRENGTH + i] = max(weaker, np.float32(1e-6))
     if narrow:
-        _power(v)
-    for i in range(PIXELS):
+        _power(count, v)
+    for i in range(count):
         strength = v[POWER + i] if narrow else _ONE
         strength = _ZERO if v[FACING + i] < cutoff else strength
         v[STRENGTH + i] = strength / v[STRENGTH + i]
 
 
 @inner
-def _reflected(lights: Any, number: int, v: Any) -> None:
+def _reflected(count: int, lights: Any, number: int, v: Any) -> None:
     """Add what all points reflect of one light."""
-    for i in range(PIXELS):
+    for i in range(count):
         lx, ly, lz = v[LIGHT + i], v[LIGHT + _NEXT + i], v[LIGHT + _LAST + i]
         nx, ny, nz = v[NORMAL + i], v[NORMAL + _NEXT + i], v[NORMAL + _LAST + i]
         v[FACING + i] = lx * nx + ly * ny + lz * nz
@@ -209,11 +211,11 @@ def _reflected(lights: Any, number: int, v: Any) -> None:
         hx, hy, hz = hx * scale, hy * scale, hz * scale
         v[BASE + i] = max(hx * nx + hy * ny + hz * nz, _ZERO)
         v[COUNT + i] = v[SHARES + PIXELS + i]
-    _power(v)
+    _power(count, v)
     for c in range(3):
         ambient, diffuse = lights[number, AMBIENT + c], lights[number, DIFFUSE + c]
         specular = lights[number, SPECULAR + c]
-        for i in range(PIXELS):
+        for i in range(count):
             facing = v[FACING + i]
             shine = v[POWER + i] * v[SHARES + i] if facing > _ZERO else _ZERO
             v[COLOUR + PIXELS * c + i] += v[STRENGTH + i] * (
@@ -224,24 +226,24 @@ def _reflected(lights: Any, number: int, v: Any) -> None:
 
 
 @inner
-def _power(v: Any) -> None:
+def _power(count: int, v: Any) -> None:
     """Write the powers `COUNT` of numbers `BASE` in [0, 1] to `POWER`.
 
     Without a mathematical library: they differ in the last bit. Between whole exponents
     a power is linear.
     """
     most = _ZERO
-    for i in range(PIXELS):
+    for i in range(count):
         exponent = v[COUNT + i]
-        count = np.trunc(exponent)
-        v[COUNT + i] = count
-        v[POWER + i] = _ONE + (exponent - count) * (v[BASE + i] - _ONE)
-        most = max(most, count)
+        whole = np.trunc(exponent)
+        v[COUNT + i] = whole
+        v[POWER + i] = _ONE + (exponent - whole) * (v[BASE + i] - _ONE)
+        most = max(most, whole)
     while most > _ZERO:
-        for i in range(PIXELS):
-            factor, count = v[BASE + i], v[COUNT + i]
-            half = np.trunc(_HALF * count)
-            odd = count - half - half > _ZERO
+        for i in range(count):
+            factor, left = v[BASE + i], v[COUNT + i]
+            half = np.trunc(_HALF * left)
+            odd = left - half - half > _ZERO
             v[POWER + i] *= factor if odd else _ONE
             v[BASE + i] = factor * factor
             v[COUNT + i] = half

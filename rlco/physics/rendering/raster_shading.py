@@ -23,6 +23,7 @@ from rlco.physics.rendering.raster_scene import SKY
 from rlco.physics.rendering.raster_texturing import sky, texture
 
 _HALF, _ONE = np.float32(0.5), np.float32(1.0)
+_NONE: Any = np.int64(0)  # of a literal, numba compiles all that gets it once more
 
 
 @inner
@@ -49,7 +50,7 @@ def shade(
         s: `raster_frames.Scratch`.
     """
     lens, p, shown, depth = s.lens, s.pixels, s.shown[layer], s.depth[layer]
-    count = 0
+    count = _NONE
     for y in range(box[0], box[1] + 1):
         for x in range(box[2], box[3] + 1):
             k = shown[TRIANGLE, y, x]
@@ -66,7 +67,7 @@ def shade(
             count += 1
             if count == PIXELS:
                 _shade_some(scene, geoms_at, count, share, image, s)
-                count = 0
+                count = _NONE
     if count:
         _shade_some(scene, geoms_at, count, share, image, s)
 
@@ -78,8 +79,8 @@ def _shade_some(
     """Colour the first of the pixels in the working space."""
     p = s.pixels
     load(count, scene, s.placed, s.matrix, s.row, geoms_at, s.lens, p)
-    locate(p.values)
-    light(s.lights, p.values)
+    locate(count, p.values)
+    light(count, s.lights, p.values)
     texture(scene.textures, count, s.lens, p)
     for c in range(3):
         for i in range(count):

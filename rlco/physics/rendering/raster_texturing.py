@@ -26,6 +26,7 @@ from rlco.physics.rendering.raster_textures import FLAT, cube_face, on_cube, sam
 
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 _TINY = np.float32(1e-20)
+_FIRST: Any = np.int64(0)  # face of a cube
 _NEXT, _LAST = PIXELS, 2 * PIXELS  # from x to y and z of the same pixel
 _MOST = np.float32(8.0)  # places of a texture that one pixel averages
 
@@ -51,7 +52,7 @@ def texture(textures: Any, count: int, lens: Any, p: Any) -> None:
                 v[COLOUR + PIXELS * c + i] *= textures.means[number, c]
             continue
         if not located:
-            _locate(lens, v)
+            _locate(count, lens, v)
             located = True
         red, green, blue = _seen(textures, number, i, v)
         v[COLOUR + i] *= red
@@ -60,9 +61,9 @@ def texture(textures: Any, count: int, lens: Any, p: Any) -> None:
 
 
 @inner
-def _locate(lens: Any, v: Any) -> None:
-    """Write where the rays of all pixels, and of their neighbours, meet the planes."""
-    for i in range(PIXELS):
+def _locate(count: int, lens: Any, v: Any) -> None:
+    """Write where rays of pixels, and of their neighbours, meet the planes."""
+    for i in range(count):
         at = LOCAL + i
         x, y, z = v[at], v[at + _NEXT], v[at + _LAST]
         v[ON_TEXTURE + i] = x / v[SCALE + i]
@@ -73,7 +74,7 @@ def _locate(lens: Any, v: Any) -> None:
         lower = _ONE / lens[1] if step == 1 else _ZERO
         to = ON_TEXTURE + 3 * PIXELS * (step + 1)
         slopes = SLOPES + PIXELS * step
-        for i in range(PIXELS):
+        for i in range(count):
             at = FRAME + i
             a, b, c, d = v[at], v[at + PIXELS], v[at + 2 * PIXELS], v[at + 3 * PIXELS]
             at += 4 * PIXELS
@@ -109,7 +110,7 @@ def _locate(lens: Any, v: Any) -> None:
 def _seen(textures: Any, texture: int, i: int, v: Any) -> Any:
     """Return the texture's red, green and blue at one pixel, shares of 1."""
     flat = textures.table[texture, 0] == FLAT
-    face, u0, v0 = 0, _ZERO, _ZERO
+    face, u0, v0 = _FIRST, _ZERO, _ZERO
     long_u, long_v, longer, shorter = _ZERO, _ZERO, _ZERO, _ZERO
     for step in range(3):
         if step and abs(v[SLOPES + PIXELS * (step - 1) + i]) < _TINY:
