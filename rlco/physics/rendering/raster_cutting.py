@@ -64,7 +64,8 @@ def project_some(
         near: See `raster_triangles.project`.
         height: Of the frame.
         width: Of the frame.
-        corners: Written, of vertices that are inside; see `raster_triangles.project`.
+        corners: Written, and only of use where vertices are inside all planes; see
+            `raster_triangles.project`.
         inverse: The same.
         cutting: `Cutting`, written.
     """
@@ -96,7 +97,7 @@ def project_some(
         for i in range(count):
             side = d + a * xs[i] + b * ys[i] + c * zs[i]
             outside[i] |= np.uint8(0) if side >= _ZERO else bit
-    _to_screen(xs, ys, zs, near, lens, count, corners, inverse)
+    _to_screen(xs, ys, zs, lens, count, corners, inverse)
 
 
 @inner
@@ -110,7 +111,6 @@ def draw_part(
     depth: Any,
     shown: Any,
     box: Any,
-    near: Any,
     lens: Any,
     cutting: Any,
 ) -> None:
@@ -126,7 +126,8 @@ def draw_part(
         polygon[0, axis, 2] = seen[axis, n]
     count = _cut(polygon, cutting.planes)
     xs, ys, zs = polygon[0, 0], polygon[0, 1], polygon[0, 2]
-    _to_screen(xs, ys, zs, near, lens, count, corners, cutting.inverse)
+    _to_screen(xs, ys, zs, lens, count, corners, cutting.inverse)
+    # Numbers as in `faces`: of others, numba would compile `fill` once more.
     first: Any = np.int32(0)
     for corner in range(1, count - 1):
         here: Any = np.int32(corner)
@@ -151,7 +152,6 @@ def _to_screen(
     xs: Any,
     ys: Any,
     zs: Any,
-    near: Any,
     lens: Any,
     count: int,
     corners: Any,
@@ -161,7 +161,7 @@ def _to_screen(
     across, down = corners[0], corners[1]
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
     for i in range(count):
-        inverse[i] = _ONE / max(zs[i], near)
+        inverse[i] = _ONE / zs[i]
     for i in range(count):
         place = (cx + fx * xs[i] * inverse[i]) * _STEPS + _HALF
         across[i] = np.int32(np.floor(place))

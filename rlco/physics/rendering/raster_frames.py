@@ -34,7 +34,7 @@ from rlco.physics.rendering.raster_state import (
 )
 from rlco.physics.rendering.raster_triangles import draw_triangles, project
 
-_ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
+_ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 # MuJoCo draws what is less opaque than this after the rest, blended over it.
 OPAQUE = 0.995
 COMMON = 0  # the background that worlds share while they look alike
@@ -69,7 +69,7 @@ class Scratch(NamedTuple):
     distance: NDArray[np.float32]  # from the camera (G,) [m]
     corners: NDArray[np.int32]  # of one geom, on the screen (2, V)
     inverse: NDArray[np.float32]  # their inverse depth (V,)
-    cutting: Cutting  # the same of a geom that is cut
+    cutting: Cutting  # what a geom that is cut needs besides
     depth: NDArray[np.float32]  # inverse depth of the frame, of one transparent geom
     shown: NDArray[np.int32]  # triangle and geom, of the same two (2, 2, h, w)
     lens: NDArray[np.float32]  # focal lengths, centre [pixels], world from camera (13,)
@@ -134,7 +134,6 @@ def _draw(scene: Any, g: int, layer: int, s: Any) -> None:
         shown,
         box,
         cut,
-        scene.near,
         s.lens,
         s.cutting,
     )

@@ -3,9 +3,9 @@
 OpenGL's fixed lighting (ambient, diffuse and Blinn's specular light of each source),
 per pixel rather than per corner of a triangle. There are no shadows and no reflections.
 
-Every loop is over the pixels, without branches, so that several are done at once. The
-order of operations is fixed: nothing is fused or reassociated, and processors agree to
-the bit.
+Innermost loops are over the pixels, without branches, so that several are done at once.
+The order of operations is fixed: nothing is fused or reassociated, and processors agree
+to the bit.
 """
 
 from __future__ import annotations
@@ -53,6 +53,7 @@ from rlco.physics.rendering.raster_state import (
 
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 _TINY = np.float32(1e-20)
+_MOST = np.float32(2.0**31)  # of an exponent: the loop over its bits has to end
 _NEXT, _LAST = PIXELS, 2 * PIXELS  # from x to y and z of the same pixel
 
 
@@ -199,7 +200,7 @@ def _from_a_place(count: int, lights: Any, number: int, v: Any) -> None:
 
 @inner
 def _reflected(count: int, lights: Any, number: int, v: Any) -> None:
-    """Add what all points reflect of one light."""
+    """Add what the first pixels' points reflect of one light."""
     for i in range(count):
         lx, ly, lz = v[LIGHT + i], v[LIGHT + _NEXT + i], v[LIGHT + _LAST + i]
         nx, ny, nz = v[NORMAL + i], v[NORMAL + _NEXT + i], v[NORMAL + _LAST + i]
@@ -230,11 +231,11 @@ def _power(count: int, v: Any) -> None:
     """Write the powers `COUNT` of numbers `BASE` in [0, 1] to `POWER`.
 
     Without a mathematical library: they differ in the last bit. Between whole exponents
-    a power is linear.
+    a power is linear. `BASE` and `COUNT` are used up.
     """
     most = _ZERO
     for i in range(count):
-        exponent = v[COUNT + i]
+        exponent = min(v[COUNT + i], _MOST)
         whole = np.trunc(exponent)
         v[COUNT + i] = whole
         v[POWER + i] = _ONE + (exponent - whole) * (v[BASE + i] - _ONE)

@@ -49,7 +49,7 @@ def _rows(*sizes: int) -> list[int]:
     return [PIXELS * int(start) for start in np.cumsum([0, *sizes])]
 
 
-# Rows of `Pixels.values`, each with its number of components: what is loaded ...
+# Rows of `Pixels.values`, by groups: what is known before ...
 (
     RAY,  # x and y of the ray, whose z is 1
     DEPTH,  # along the camera's axis [m]
@@ -70,7 +70,8 @@ def _rows(*sizes: int) -> list[int]:
     PLANE,  # normal of the triangle, in the geom's frame, of any length
     NORMAL,  # in the camera's frame, of length 1
     LIGHT,  # towards a light, of length 1
-    FACING,  # how far a light and a surface face each other, a cosine
+    FACING,  # how far a light's axis and the point, or its ray and the surface, face
+    # each other, a cosine
     STRENGTH,  # of a light
     BASE,  # of a power
     COUNT,  # its exponent
@@ -83,8 +84,8 @@ def _rows(*sizes: int) -> list[int]:
 
 @inner
 def make_pixels() -> Any:
-    """Return a working space, of pixels without an area, for `load`."""
-    return Pixels(np.zeros(_SIZE, np.float32), np.zeros(PIXELS * _PLACE_ROWS, np.int64))
+    """Return a working space for `load`."""
+    return Pixels(np.empty(_SIZE, np.float32), np.empty(PIXELS * _PLACE_ROWS, np.int64))
 
 
 @inner
@@ -98,7 +99,9 @@ def load(
     lens: Any,
     p: Any,
 ) -> None:
-    """Write what the first pixels show to the working space, by their `places`.
+    """Write what the first pixels show to the working space.
+
+    Their places in the frame, triangles, geoms and depths are there already.
 
     Args:
         count: How many of the pixels.
@@ -108,7 +111,7 @@ def load(
         row: The world's numbers, see `raster_state`.
         at: Where the geoms begin there.
         lens: Focal lengths and centre [pixels], (4,).
-        p: `Pixels`, whose values are written.
+        p: `Pixels`, written.
     """
     v, places = p.values, p.places
     points, faces, normals = scene.points, scene.faces, scene.normals

@@ -60,7 +60,6 @@ def draw_triangles(
     shown: Any,
     box: Any,
     cut: bool,
-    near: Any,
     lens: Any,
     cutting: Any,
 ) -> None:
@@ -78,7 +77,6 @@ def draw_triangles(
         shown: What its pixels show, (2, height, width).
         box: First and last row, first and last column to draw [pixels], (4,).
         cut: Whether some are cut, after `raster_cutting.project_some`.
-        near: See `project`.
         lens: See `project`.
         cutting: `raster_cutting.Cutting`.
     """
@@ -92,9 +90,7 @@ def draw_triangles(
             if outside[i] & outside[j] & outside[n]:
                 continue
             if outside[i] | outside[j] | outside[n]:
-                draw_part(
-                    i, j, n, two_sided, k, geom, depth, shown, box, near, lens, cutting
-                )
+                draw_part(i, j, n, two_sided, k, geom, depth, shown, box, lens, cutting)
                 continue
         ax, bx, cx = xs[i], xs[j], xs[n]
         # Columns whose centre is between the outermost corners.

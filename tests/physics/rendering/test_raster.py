@@ -91,6 +91,22 @@ def test_a_face_has_the_colour_of_its_light() -> None:
     assert image[:, 0, 0].tolist() == [0, 0, 0]  # no sky
 
 
+def test_light_without_a_finite_exponent_is_drawn() -> None:
+    shiny = "<light pos='0 0 3' exponent='1'/>" + geom(
+        "type='box' size='.4 .4 .2' material='m'"
+    )
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><asset><material name='m' rgba='1 1 1 1'/></asset><worldbody>"
+        f"<camera name='agentview' pos='0 0 2'/>{shiny}</worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    model.mat_shininess[:] = model.light_exponent[:] = 1e30
+    finite = RasterCamera(model, (9, 9)).frame(data)
+    model.mat_shininess[:] = model.light_exponent[:] = np.inf
+    np.testing.assert_array_equal(RasterCamera(model, (9, 9)).frame(data), finite)
+
+
 def test_a_transparent_geom_is_blended_twice_and_has_no_depth() -> None:
     box = geom("type='box' size='.4 .4 .2' rgba='0 0 0 1'")
     glass = geom("type='box' size='.2 .2 .1' pos='0 0 .5' rgba='1 1 1 .5'")
