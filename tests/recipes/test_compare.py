@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import importlib.util
 import json
 import os
@@ -183,6 +184,24 @@ def test_combinations_that_are_left_out_do_not_run_and_are_not_missing(
     assert ran == [one for one in ALL if one not in ("second 1 0", "second 2 0")]
     assert "| beta 0 | 30% | 30% | 1 |" in grid.table
     assert "missing" not in grid.table
+
+
+def test_a_table_needs_no_file_whose_hash_is_given(grid: Grid) -> None:
+    weights = grid.folder / "weights.pth"
+    weights.write_bytes(b"large")
+    grid.content["jobs"]["first"]["options"]["who"] = str(weights)
+    grid.run()
+    weights.unlink()
+    grid.run("hours=0")
+    assert "missing" in grid.table
+    digest = hashlib.sha256(b"large").hexdigest()
+    grid.content["files"] = {str(weights): digest}
+    grid.run("hours=0")
+    assert "missing" not in grid.table
+    # Another file there is told of, not taken for the one that was meant.
+    weights.write_bytes(b"other")
+    with pytest.raises(ConfigError, match=f"{digest[:12]}..., but the file there has"):
+        grid.jobs()
 
 
 def test_cells_hold_what_a_result_comes_from(grid: Grid) -> None:
@@ -540,6 +559,7 @@ def test_a_job_that_cannot_be_resumed_begins_anew(grid: Grid) -> None:
             "without has an unknown 'sed' (did you mean 'seed'?)",
         ),
         (lambda c: c.update(without=["seed"]), "without holds 'seed', which is no"),
+        (lambda c: c.update(files={"a.pth": 12}), "files has a.pth: 12; give its SHA"),
         (
             lambda c: c["table"].update(by="beta", mean="seed"),
             "table has mean: 'seed', which is none of by; known: beta",

@@ -129,6 +129,7 @@ class Experiment:
     jobs: Mapping[str, JobKind]
     table: Table
     without: tuple[Without, ...] = ()
+    files: Mapping[str, str] = field(default_factory=dict)
 
 
 def left_out(values: Mapping[str, Any], without: Iterable[Without]) -> bool:

@@ -26,12 +26,14 @@ class Job:
         values: Of its variables.
         needs: The jobs whose folders it reads, by their names.
         code: What it runs.
+        files: SHA-256 of files that may be absent, by their paths.
     """
 
     kind: JobKind
     values: Mapping[str, Any]
     needs: Mapping[str, Job]
     code: Code
+    files: Mapping[str, str]
 
     def __hash__(self) -> int:
         return hash(self.key)
@@ -78,16 +80,21 @@ class Job:
         options = self.options(folders)
         return {
             "script": self.kind.script,
-            "options": {key: _contents(value) for key, value in options.items()},
+            "options": {key: self._contents(value) for key, value in options.items()},
         }
 
+    def _contents(self, value: str) -> str:
+        """Replace a file's path by its hash: where it is decides nothing."""
+        digest = self.files.get(value) or file_hash(value)
+        return value if digest is None else f"file:{digest}"
 
-def _contents(value: str) -> str:
-    """Replace a file's path by a hash of what is in it: its place decides nothing."""
+
+def file_hash(path: str) -> str | None:
+    """Return the SHA-256 of a file; None: there is none at this path."""
     try:
-        return f"file:{hashlib.sha256(Path(value).read_bytes()).hexdigest()}"
+        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
     except (OSError, ValueError):
-        return value
+        return None
 
 
 def _hash(content: Any) -> str:
@@ -112,7 +119,9 @@ def expand(experiment: Experiment) -> list[Job]:
             needs = {
                 need: find(found, experiment.jobs[need], values) for need in kind.needs
             }
-            found[kind.name, combination] = Job(kind, values, needs, code[kind.path])
+            found[kind.name, combination] = Job(
+                kind, values, needs, code[kind.path], experiment.files
+            )
     return list(found.values())
 
 

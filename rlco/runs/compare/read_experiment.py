@@ -5,6 +5,7 @@ Everything that is wrong in a file is reported together, before anything runs.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,7 @@ from rlco.errors import ConfigError, DataError
 from rlco.files import read_yaml
 from rlco.runs.compare.code_version import ROOT
 from rlco.runs.compare.experiment import Experiment, JobKind, Without, value_name
+from rlco.runs.compare.jobs import file_hash
 from rlco.runs.compare.problems import Problems
 from rlco.runs.compare.read_table import read_table
 from rlco.runs.compare.templates import flat
@@ -32,6 +34,8 @@ def read_experiment(path: Path) -> Experiment:
           beta: [0, 0.2]
         without:                 # combinations that are not run; may be left out
           - {seed: 2, beta: 0}
+        files:                   # SHA-256 of files in options that tables can be made
+          weights.pth: b0353...  # without; may be left out
         jobs:                    # each runs once for all values of what it names
           sim:
             script: recipes/record_demos.py
@@ -67,18 +71,19 @@ def read_experiment(path: Path) -> Experiment:
     content = _content(path)
     reader = _Reader(path)
     reader.problems.known(
-        content, ("name", "over", "without", "jobs", "table"), "the file"
+        content, ("name", "over", "without", "files", "jobs", "table"), "the file"
     )
     name = content.get("name", path.stem)
     over = reader.over(content.get("over"))
     without = reader.without(content.get("without") or [], over)
+    files = reader.files(content["files"]) if "files" in content else {}
     jobs = reader.jobs(content.get("jobs"), over)
     table = read_table(reader.problems, content.get("table"), over, jobs)
     if reader.problems.found:
         raise ConfigError(
             [f"in {path}: {problem}" for problem in reader.problems.found]
         )
-    return Experiment(str(name), over, jobs, table, without)
+    return Experiment(str(name), over, jobs, table, without, files)
 
 
 def _content(path: Path) -> dict[str, Any]:
@@ -143,6 +148,24 @@ class _Reader:
             ]
             found.append(values)
         return tuple(found)
+
+    def files(self, given: Any) -> dict[str, str]:
+        """Return the SHA-256 of files that may be absent."""
+        found = {}
+        for path, value in self.problems.mapping(given, "files").items():
+            digest, present = str(value), file_hash(path)
+            if not re.fullmatch(r"[0-9a-f]{64}", digest):
+                self.problems.found.append(
+                    f"files has {path}: {value!r}; give its SHA-256, 64 digits of "
+                    "0 to 9 and a to f"
+                )
+            elif present not in (None, digest):
+                self.problems.found.append(
+                    f"files has {path}: {digest[:12]}..., but the file there has "
+                    f"{present[:12]}...; put the one there that is meant"
+                )
+            found[path] = digest
+        return found
 
     # -- Jobs --------------------------------------------------------------------------
 
