@@ -85,7 +85,7 @@ def alone(name: str, size: int, rounds: int) -> str:
 
 def rollouts(rounds: int) -> None:
     """Print the table of rollouts."""
-    print("\n| images | processor [s] | clock [s] | ratio of processor times |")
+    print("\n| images | processor [s] | clock [s] | processor, ratio [quartiles] |")
     print("|---|---|---|---|", flush=True)
     kinds: dict[str, dict[str, Any]] = {
         "none": {},
@@ -109,9 +109,14 @@ def rollouts(rounds: int) -> None:
             torch.manual_seed(0)
             row.append(costs(lambda env=env: env.rollout(16)))
         spent.append(row)
-    median = np.median(np.array(spent[1:] or spent), axis=0)
-    for name, (cpu, clock) in zip(kinds, median, strict=True):
-        print(f"| {name} | {cpu:.2f} | {clock:.2f} | {cpu / median[0, 0]:.2f} |")
+    found = np.array(spent[1:])  # the first compiles, and fills caches
+    for number, name in enumerate(kinds):
+        cpu, clock = np.median(found[:, number], axis=0)
+        ratio = np.percentile(found[:, number, 0] / found[:, 0, 0], [25, 50, 75])
+        print(
+            f"| {name} | {cpu:.2f} | {clock:.2f} | {ratio[1]:.2f} "
+            f"[{ratio[0]:.2f}, {ratio[2]:.2f}] |"
+        )
 
 
 def main(rounds: int) -> None:
@@ -124,7 +129,7 @@ def main(rounds: int) -> None:
     for name in CAMERAS:
         for size in SIZES:
             print(alone(name, size, rounds), flush=True)
-    rollouts(max(2, rounds // 8))
+    rollouts(max(3, rounds // 4))
 
 
 if __name__ == "__main__":
