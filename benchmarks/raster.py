@@ -14,6 +14,7 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 os.environ.setdefault("MUJOCO_GL", "egl")
@@ -107,7 +108,7 @@ def rollouts(rounds: int) -> None:
         row = []
         for env in envs.values():
             torch.manual_seed(0)
-            row.append(costs(lambda env=env: env.rollout(16)))
+            row.append(costs(partial(env.rollout, 16)))
         spent.append(row)
     found = np.array(spent[1:])  # the first compiles, and fills caches
     for number, name in enumerate(kinds):
