@@ -186,6 +186,14 @@ def test_combinations_that_are_left_out_do_not_run_and_are_not_missing(
     assert "missing" not in grid.table
 
 
+def test_a_variable_with_one_value_need_not_be_in_a_label(grid: Grid) -> None:
+    grid.content["over"]["beta"] = [4]
+    grid.content["table"]["methods"] = {"rl": {"job": "second"}}
+    del grid.content["table"]["differences"]
+    grid.run()
+    assert "| rl | 60% [35%, 85%] | 50% | 3 |" in grid.table
+
+
 def test_a_table_needs_no_file_whose_hash_is_given(grid: Grid) -> None:
     weights = grid.folder / "weights.pth"
     weights.write_bytes(b"large")

@@ -170,7 +170,8 @@ def _line(
         return Line(label, job, method, curve, at)
     if not jobs[job].results:
         problems.found.append(f"{what} has job {job!r}, which has no results")
-    missing = {*jobs[job].variables} - elsewhere - {*named, *at}
+    several = {name for name in jobs[job].variables if len(over[name]) > 1}
+    missing = several - elsewhere - {*named, *at}
     if missing:
         braces = " ".join(f"{{{name}}}" for name in sorted(missing))
         problems.found.append(
