@@ -183,8 +183,8 @@ def test_a_job_on_the_cluster_is_interrupted_as_by_ctrl_c(
 ) -> None:
     log = tmp_path / "log.txt"
     code = (
-        "import time\nprint('waits', flush=True)\n"
-        "try:\n    time.sleep(600)\nexcept KeyboardInterrupt:\n    print('stops')\n"
+        "import time\ntry:\n    print('waits', flush=True)\n"
+        "    time.sleep(600)\nexcept KeyboardInterrupt:\n    print('stops')\n"
     )
     process = processes.start(["python", "-c", code], log, nice=0)
     wait_for_a_line(processes, process, log)
@@ -204,8 +204,8 @@ def test_an_interruption_that_is_lost_is_repeated_and_the_job_hears_one(
             real(process)
 
     code = (
-        "import time\nprint('waits', flush=True)\n"
-        "try:\n    time.sleep(600)\nexcept KeyboardInterrupt:\n"
+        "import time\ntry:\n    print('waits', flush=True)\n"
+        "    time.sleep(600)\nexcept KeyboardInterrupt:\n"
         "    time.sleep(1.5)\n    print('stops')\n"
     )
     process = processes.start(["python", "-c", code], log, nice=0)

@@ -101,15 +101,16 @@ def _run(command: Sequence[str], folder: str, log: str, nice: int) -> tuple[int,
             ]
         )
     os.chdir(folder)
-    process = processes.start(command, Path(log), nice=nice)
+    # So a task is cancelled. Noted, not raised: an exception just after the start would
+    # leave an orphan, which holds its run folder.
+    asked: list[int] = []
+    before = signal.signal(signal.SIGINT, lambda number, _: asked.append(number))
     try:
-        while (ended := processes.poll(process)) is None:
+        process = processes.start(command, Path(log), nice=nice)
+        while (ended := processes.poll(process)) is None and not asked:
             time.sleep(0.1)
-    except KeyboardInterrupt:  # so a task is cancelled
-        # Asked again, it goes on ending the job: an orphan would hold its run folder.
-        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
-        try:
+        if ended is None:
             ended = processes.stop(process)
-        finally:
-            signal.signal(signal.SIGINT, before)
+    finally:
+        signal.signal(signal.SIGINT, before)
     return ended.status, ended.cpu_seconds
