@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rlco.errors import ConfigError
@@ -120,6 +119,7 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
         DataError: A data set that does not fit the task.
     """
     from rlco.data import load_task_demos
+    from rlco.data.image_warnings import say_blind, say_drawn_otherwise
     from rlco.training.pretraining_checks import (
         check_positions,
         say_unlabelled,
@@ -182,7 +182,7 @@ def load_stage_one(options: StageOneOptions) -> StageOneDemos:
         say_drawn_otherwise(demos[1:], options.renderer)
         say_unlabelled(options)
     if image_size is None and not poses:
-        say_blind(demos)
+        say_blind(demos.present(), task.state_names)
     policy_options.augment(options, *demos.present())
     return demos
 
@@ -206,45 +206,6 @@ def check_held_out(demos: StageOneDemos) -> None:
                     "heldout_episodes="
                 ]
             )
-
-
-def say_drawn_otherwise(
-    demos: Iterable[DemoReplayBuffer | None], renderer: str
-) -> None:
-    """Say so where a simulator's images were drawn by another renderer."""
-    for one in demos:
-        drawn = None if one is None else one.meta.recorded.get("renderer")
-        if one is not None and drawn not in (None, renderer):
-            log.warning(
-                "%s was drawn by renderer=%s, but the policy's images are drawn by %s; "
-                "record it again, or give renderer=%s",
-                one.meta.path,
-                drawn,
-                renderer,
-                drawn,
-            )
-
-
-def say_blind(demos: StageOneDemos) -> None:
-    """Say so where data have images, and a policy reads the robot's state alone."""
-    from rlco.lerobot_files import read_folder
-
-    for one in demos.present():
-        cameras = [
-            name.rpartition(".")[2] for name in read_folder(one.meta.path).cameras
-        ]
-        if not cameras:
-            continue
-        which = f" real_camera={cameras[0]}" if len(cameras) > 1 else ""
-        log.warning(
-            "%s has images (%s), and nothing of them is read: a policy that reads the "
-            "robot's state alone (%s) cannot see objects, and repeats a mean motion "
-            "where they matter; give image=conv%s to read images",
-            one.meta.path,
-            ", ".join(cameras),
-            ", ".join(demos.task.state_names),
-            which,
-        )
 
 
 def _needs(options: StageOneOptions) -> dict[str, bool]:

@@ -89,11 +89,11 @@ def load_stage_two(options: StageTwoOptions) -> tuple[ChunkPolicy, StageTwoDemos
         DataError: A data set that does not fit the task.
     """
     from rlco.data import load_task_demos
+    from rlco.data.image_warnings import say_drawn_otherwise
     from rlco.physics.spec.domain import FINAL_DOMAINS
     from rlco.physics.tasks.named_task import named_task
     from rlco.policies import load_task_policy
     from rlco.training.pretraining import with_features
-    from rlco.training.stage_one import say_drawn_otherwise
 
     task = named_task(options.task)
     policy = load_task_policy(options.policy, task)

@@ -206,7 +206,7 @@ def test_a_table_needs_no_file_whose_hash_is_given(grid: Grid) -> None:
     grid.content["files"] = {str(weights): digest}
     grid.run("hours=0")
     assert "missing" not in grid.table
-    # Another file there is told of, not taken for the one that was meant.
+    # Another file there is refused, not taken for the one that was meant.
     weights.write_bytes(b"other")
     with pytest.raises(ConfigError, match=f"{digest[:12]}..., but the file there has"):
         grid.jobs()

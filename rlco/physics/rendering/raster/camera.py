@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 from rlco.errors import RlcoError
 from rlco.physics.mj.libmujoco import address_of
 from rlco.physics.rendering.camera import camera_id, moved_pose, moves
-from rlco.physics.rendering.raster_frames import COMMON, Backgrounds, draw_range
-from rlco.physics.rendering.raster_scene import is_fixed, make_scene
-from rlco.physics.rendering.raster_state import (
+from rlco.physics.rendering.raster.frames import COMMON, Backgrounds, draw_range
+from rlco.physics.rendering.raster.scene import is_fixed, make_scene
+from rlco.physics.rendering.raster.state import (
     Sources,
     model_offsets,
     row_sizes,

@@ -15,24 +15,24 @@ from numpy.typing import NDArray
 
 from rlco.physics.mj.compiling import borrowed, inner
 from rlco.physics.mj.copying import copy_into, copy_matrix
-from rlco.physics.rendering.raster_cutting import (
+from rlco.physics.rendering.raster.cutting import (
     Cutting,
     make_cutting,
     project_some,
 )
-from rlco.physics.rendering.raster_filling import GEOM, TRIANGLE
-from rlco.physics.rendering.raster_pixels import Pixels, make_pixels
-from rlco.physics.rendering.raster_places import CUT, LEVEL, look, place
-from rlco.physics.rendering.raster_scene import ID, STILL, TWO_SIDED, VERTICES
-from rlco.physics.rendering.raster_shading import shade
-from rlco.physics.rendering.raster_state import (
+from rlco.physics.rendering.raster.filling import GEOM, TRIANGLE
+from rlco.physics.rendering.raster.pixels import Pixels, make_pixels
+from rlco.physics.rendering.raster.places import CUT, LEVEL, look, place
+from rlco.physics.rendering.raster.scene import ID, STILL, TWO_SIDED, VERTICES
+from rlco.physics.rendering.raster.shading import shade
+from rlco.physics.rendering.raster.state import (
     GEOM_SIZE,
     LIGHT_SIZE,
     LIGHTS,
     RGBA,
     read_row,
 )
-from rlco.physics.rendering.raster_triangles import draw_triangles, project
+from rlco.physics.rendering.raster.triangles import draw_triangles, project
 
 _ZERO, _ONE = np.float32(0.0), np.float32(1.0)
 # MuJoCo draws what is less opaque than this after the rest, blended over it.
@@ -73,7 +73,7 @@ class Scratch(NamedTuple):
     depth: NDArray[np.float32]  # inverse depth of the frame, of one transparent geom
     shown: NDArray[np.int32]  # triangle and geom, of the same two (2, 2, h, w)
     lens: NDArray[np.float32]  # focal lengths, centre [pixels], world from camera (13,)
-    lights: NDArray[np.float32]  # see `raster_lighting.light`
+    lights: NDArray[np.float32]  # see `lighting.light`
     pixels: Pixels  # that are shaded together
 
 
@@ -180,9 +180,9 @@ def draw_range(
         first: First place in `which`.
         last: One after the last.
         which: Indices of worlds; -1 draws the common background as world 0 has it.
-        scene: `raster_scene.Scene`.
-        sizes: See `raster_state.row_sizes`.
-        sources: `raster_state.Sources`.
+        scene: `scene.Scene`.
+        sizes: See `state.row_sizes`.
+        sources: `state.Sources`.
         backgrounds: `Backgrounds`, empty for a camera that moves.
         images: uint8 (N, 3, height, width); only those of `which` are written.
         geoms: The geoms that pixels show, -1: none, (N, height, width), or (0, 0, 0).

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from rlco.physics.mj.compiling import inner
-from rlco.physics.rendering.raster_filling import GEOM, TRIANGLE
-from rlco.physics.rendering.raster_lighting import light, locate
-from rlco.physics.rendering.raster_pixels import (
+from rlco.physics.rendering.raster.filling import GEOM, TRIANGLE
+from rlco.physics.rendering.raster.lighting import light, locate
+from rlco.physics.rendering.raster.pixels import (
     COLOUR,
     DEPTH,
     GEOM_OF,
@@ -19,8 +19,8 @@ from rlco.physics.rendering.raster_pixels import (
     Y,
     load,
 )
-from rlco.physics.rendering.raster_scene import SKY
-from rlco.physics.rendering.raster_texturing import sky, texture
+from rlco.physics.rendering.raster.scene import SKY
+from rlco.physics.rendering.raster.texturing import sky, texture
 
 _HALF, _ONE = np.float32(0.5), np.float32(1.0)
 _NONE: Any = np.int64(0)  # of a literal, numba compiles all that gets it once more
@@ -40,14 +40,14 @@ def shade(
     """Colour the pixels of a box that show a triangle.
 
     Args:
-        scene: `raster_scene.Scene`.
+        scene: `scene.Scene`.
         geoms_at: Where the geoms begin in a row.
         layer: 0 for the frame, 1 for a transparent geom.
         box: First and last row, first and last column, (4,).
         share: Of the colour, over what the image shows.
         with_sky: Colour the pixels that show none, too.
         image: uint8 (3, height, width), written.
-        s: `raster_frames.Scratch`.
+        s: `frames.Scratch`.
     """
     lens, p, shown, depth = s.lens, s.pixels, s.shown[layer], s.depth[layer]
     count = _NONE

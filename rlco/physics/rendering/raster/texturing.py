@@ -7,12 +7,14 @@ from typing import Any
 import numpy as np
 
 from rlco.physics.mj.compiling import inner
-from rlco.physics.rendering.raster_pixels import (
+from rlco.physics.rendering.raster.pixels import (
     AVERAGED,
     COLOUR,
     CORNER,
     FRAME,
+    LAST,
     LOCAL,
+    NEXT,
     ON_TEXTURE,
     PIXELS,
     PLANE,
@@ -22,12 +24,11 @@ from rlco.physics.rendering.raster_pixels import (
     TEXTURE_OF,
     TIMES,
 )
-from rlco.physics.rendering.raster_textures import FLAT, cube_face, on_cube, sample
+from rlco.physics.rendering.raster.textures import FLAT, cube_face, on_cube, sample
 
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 _TINY = np.float32(1e-20)
 _FIRST: Any = np.int64(0)  # face of a cube
-_NEXT, _LAST = PIXELS, 2 * PIXELS  # from x to y and z of the same pixel
 _MOST = np.float32(8.0)  # places of a texture that one pixel averages
 
 
@@ -36,10 +37,10 @@ def texture(textures: Any, count: int, lens: Any, p: Any) -> None:
     """Multiply the lit colours of the first pixels with those of their textures.
 
     Args:
-        textures: `raster_textures.Textures`.
+        textures: `textures.Textures`.
         count: How many of the pixels.
         lens: Focal lengths and centre [pixels], (4,).
-        p: `raster_pixels.Pixels`, after `raster_lighting.light`.
+        p: `pixels.Pixels`, after `lighting.light`.
     """
     v, places = p.values, p.places
     located = False
@@ -56,8 +57,8 @@ def texture(textures: Any, count: int, lens: Any, p: Any) -> None:
             located = True
         red, green, blue = _seen(textures, number, i, v)
         v[COLOUR + i] *= red
-        v[COLOUR + _NEXT + i] *= green
-        v[COLOUR + _LAST + i] *= blue
+        v[COLOUR + NEXT + i] *= green
+        v[COLOUR + LAST + i] *= blue
 
 
 @inner
@@ -65,10 +66,10 @@ def _locate(count: int, lens: Any, v: Any) -> None:
     """Write where rays of pixels, and of their neighbours, meet the planes."""
     for i in range(count):
         at = LOCAL + i
-        x, y, z = v[at], v[at + _NEXT], v[at + _LAST]
+        x, y, z = v[at], v[at + NEXT], v[at + LAST]
         v[ON_TEXTURE + i] = x / v[SCALE + i]
-        v[ON_TEXTURE + _NEXT + i] = y / v[SCALE + _NEXT + i]
-        v[ON_TEXTURE + _LAST + i] = z / v[SCALE + _LAST + i]
+        v[ON_TEXTURE + NEXT + i] = y / v[SCALE + NEXT + i]
+        v[ON_TEXTURE + LAST + i] = z / v[SCALE + LAST + i]
     for step in range(2):
         aside = _ONE / lens[0] if step == 0 else _ZERO
         lower = _ONE / lens[1] if step == 1 else _ZERO
@@ -87,14 +88,14 @@ def _locate(count: int, lens: Any, v: Any) -> None:
                 -(b * d + f * h + m * o),
                 -(c * d + g * h + n * o),
             )
-            nx, ny, nz = v[PLANE + i], v[PLANE + _NEXT + i], v[PLANE + _LAST + i]
+            nx, ny, nz = v[PLANE + i], v[PLANE + NEXT + i], v[PLANE + LAST + i]
             height = (
                 nx * v[CORNER + i]
-                + ny * v[CORNER + _NEXT + i]
-                + nz * v[CORNER + _LAST + i]
+                + ny * v[CORNER + NEXT + i]
+                + nz * v[CORNER + LAST + i]
             )
             distance = height - (nx * ex + ny * ey + nz * ez)
-            across, down = v[RAY + i] + aside, v[RAY + _NEXT + i] + lower
+            across, down = v[RAY + i] + aside, v[RAY + NEXT + i] + lower
             x = a * across + e * down + k
             y = b * across + f * down + m
             z = c * across + g * down + n
@@ -102,8 +103,8 @@ def _locate(count: int, lens: Any, v: Any) -> None:
             scale = distance / slope
             v[slopes + i] = slope
             v[to + i] = (ex + x * scale) / v[SCALE + i]
-            v[to + _NEXT + i] = (ey + y * scale) / v[SCALE + _NEXT + i]
-            v[to + _LAST + i] = (ez + z * scale) / v[SCALE + _LAST + i]
+            v[to + NEXT + i] = (ey + y * scale) / v[SCALE + NEXT + i]
+            v[to + LAST + i] = (ez + z * scale) / v[SCALE + LAST + i]
 
 
 @inner
@@ -116,10 +117,10 @@ def _seen(textures: Any, texture: int, i: int, v: Any) -> Any:
         if step and abs(v[SLOPES + PIXELS * (step - 1) + i]) < _TINY:
             continue
         at = ON_TEXTURE + 3 * PIXELS * step + i
-        x, y, z = v[at], v[at + _NEXT], v[at + _LAST]
+        x, y, z = v[at], v[at + NEXT], v[at + LAST]
         if flat:
             u1 = _HALF * v[TIMES + i] * x - _HALF
-            v1 = -_HALF * v[TIMES + _NEXT + i] * y - _HALF
+            v1 = -_HALF * v[TIMES + NEXT + i] * y - _HALF
         else:
             if step == 0:
                 face = cube_face(x, y, z)
@@ -151,11 +152,11 @@ def sky(textures: Any, texture: int, x: int, y: int, lens: Any) -> Any:
     """Return the sky's red, green and blue at a pixel, shares of 1: 0 without one.
 
     Args:
-        textures: `raster_textures.Textures`.
+        textures: `textures.Textures`.
         texture: Which of them it is, or -1.
         x: The pixel's column.
         y: Its row.
-        lens: See `raster_frames.Scratch`; from its fifth number on, the rotation from
+        lens: See `frames.Scratch`; from its fifth number on, the rotation from
             the camera's frame (right, down, forward) to the world's.
     """
     if texture < 0:

@@ -1,7 +1,7 @@
 """What a rasteriser draws: the triangles of a model's geoms as flat arrays.
 
 These never change. All that may differ between worlds or change in time (poses,
-colours, lights, the camera) is read at every frame, see `raster_state`.
+colours, lights, the camera) is read at every frame, see `state`.
 """
 
 from __future__ import annotations
@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.physics.rendering.raster_shapes import Shape, shape_levels
-from rlco.physics.rendering.raster_textures import Textures, read_textures
+from rlco.physics.rendering.raster.shapes import Shape, shape_levels
+from rlco.physics.rendering.raster.textures import Textures, read_textures
 
 Integers = NDArray[np.int64]
 Singles = NDArray[np.float32]

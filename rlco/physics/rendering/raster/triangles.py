@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from rlco.physics.mj.compiling import inner
-from rlco.physics.rendering.raster_cutting import draw_part
-from rlco.physics.rendering.raster_filling import STEPS, fill
+from rlco.physics.rendering.raster.cutting import draw_part
+from rlco.physics.rendering.raster.filling import STEPS, fill
 
 _ONE, _HALF, _STEPS = np.float32(1.0), np.float32(0.5), np.float32(STEPS)
 
@@ -76,9 +76,9 @@ def draw_triangles(
         depth: The frame's inverse depths, (height, width) [1/m].
         shown: What its pixels show, (2, height, width).
         box: First and last row, first and last column to draw [pixels], (4,).
-        cut: Whether some are cut, after `raster_cutting.project_some`.
+        cut: Whether some are cut, after `cutting.project_some`.
         lens: See `project`.
-        cutting: `raster_cutting.Cutting`.
+        cutting: `cutting.Cutting`.
     """
     # As in `fill_within`, written out: most triangles end at these lines, and a call
     # for each made a frame take 1.6 times as long.

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from rlco.physics.mj.compiling import inner
-from rlco.physics.rendering.raster_pixels import (
+from rlco.physics.rendering.raster.pixels import (
     BASE,
     COLOUR,
     CORNER,
@@ -23,8 +23,10 @@ from rlco.physics.rendering.raster_pixels import (
     DEPTH,
     FACING,
     FRAME,
+    LAST,
     LIGHT,
     LOCAL,
+    NEXT,
     NORMAL,
     NORMALS,
     OWN_COLOUR,
@@ -39,7 +41,7 @@ from rlco.physics.rendering.raster_pixels import (
     THIRD,
     VIEW,
 )
-from rlco.physics.rendering.raster_state import (
+from rlco.physics.rendering.raster.state import (
     AMBIENT,
     ATTENUATION,
     CUTOFF,
@@ -54,7 +56,6 @@ from rlco.physics.rendering.raster_state import (
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 _TINY = np.float32(1e-20)
 _MOST = np.float32(2.0**31)  # of an exponent: the loop over its bits has to end
-_NEXT, _LAST = PIXELS, 2 * PIXELS  # from x to y and z of the same pixel
 
 
 @inner
@@ -63,21 +64,21 @@ def locate(count: int, v: Any) -> None:
 
     Args:
         count: How many, from the first on.
-        v: Values of `raster_pixels.Pixels`.
+        v: Values of `pixels.Pixels`.
     """
     for i in range(count):
-        rx, ry, depth = v[RAY + i], v[RAY + _NEXT + i], v[DEPTH + i]
+        rx, ry, depth = v[RAY + i], v[RAY + NEXT + i], v[DEPTH + i]
         v[POINT + i] = rx * depth
-        v[POINT + _NEXT + i] = ry * depth
-        v[POINT + _LAST + i] = depth
+        v[POINT + NEXT + i] = ry * depth
+        v[POINT + LAST + i] = depth
         scale = _ONE / np.sqrt(rx * rx + ry * ry + _ONE + _TINY)
         v[VIEW + i] = -rx * scale
-        v[VIEW + _NEXT + i] = -ry * scale
-        v[VIEW + _LAST + i] = -scale
+        v[VIEW + NEXT + i] = -ry * scale
+        v[VIEW + LAST + i] = -scale
     for i in range(count):
         px = v[POINT + i] - v[FRAME + 3 * PIXELS + i]
-        py = v[POINT + _NEXT + i] - v[FRAME + 7 * PIXELS + i]
-        pz = v[POINT + _LAST + i] - v[FRAME + 11 * PIXELS + i]
+        py = v[POINT + NEXT + i] - v[FRAME + 7 * PIXELS + i]
+        pz = v[POINT + LAST + i] - v[FRAME + 11 * PIXELS + i]
         for axis in range(3):
             v[LOCAL + PIXELS * axis + i] = (
                 v[FRAME + PIXELS * axis + i] * px
@@ -85,23 +86,23 @@ def locate(count: int, v: Any) -> None:
                 + v[FRAME + PIXELS * (8 + axis) + i] * pz
             )
     for i in range(count):
-        ax, ay, az = v[CORNER + i], v[CORNER + _NEXT + i], v[CORNER + _LAST + i]
+        ax, ay, az = v[CORNER + i], v[CORNER + NEXT + i], v[CORNER + LAST + i]
         ux, uy, uz = (
             v[SECOND + i] - ax,
-            v[SECOND + _NEXT + i] - ay,
-            v[SECOND + _LAST + i] - az,
+            v[SECOND + NEXT + i] - ay,
+            v[SECOND + LAST + i] - az,
         )
         wx, wy, wz = (
             v[THIRD + i] - ax,
-            v[THIRD + _NEXT + i] - ay,
-            v[THIRD + _LAST + i] - az,
+            v[THIRD + NEXT + i] - ay,
+            v[THIRD + LAST + i] - az,
         )
         nx, ny, nz = uy * wz - uz * wy, uz * wx - ux * wz, ux * wy - uy * wx
-        v[PLANE + i], v[PLANE + _NEXT + i], v[PLANE + _LAST + i] = nx, ny, nz
+        v[PLANE + i], v[PLANE + NEXT + i], v[PLANE + LAST + i] = nx, ny, nz
         # The shares of the triangle's corners in the point.
         px = v[LOCAL + i] - ax
-        py = v[LOCAL + _NEXT + i] - ay
-        pz = v[LOCAL + _LAST + i] - az
+        py = v[LOCAL + NEXT + i] - ay
+        pz = v[LOCAL + LAST + i] - az
         square = max(nx * nx + ny * ny + nz * nz, _TINY)
         second = (
             (py * wz - pz * wy) * nx
@@ -130,8 +131,8 @@ def locate(count: int, v: Any) -> None:
         z = v[at] * nx + v[at + PIXELS] * ny + v[at + 2 * PIXELS] * nz
         scale = _ONE / np.sqrt(x * x + y * y + z * z + _TINY)
         v[NORMAL + i] = x * scale
-        v[NORMAL + _NEXT + i] = y * scale
-        v[NORMAL + _LAST + i] = z * scale
+        v[NORMAL + NEXT + i] = y * scale
+        v[NORMAL + LAST + i] = z * scale
 
 
 @inner
@@ -142,7 +143,7 @@ def light(count: int, lights: Any, v: Any) -> None:
         count: How many, from the first on.
         lights: The lights' numbers and, in the camera's frame, their directions and
             positions: (lights, LIGHT_SIZE + 6).
-        v: Values of `raster_pixels.Pixels`, after `locate`.
+        v: Values of `pixels.Pixels`, after `locate`.
     """
     dark = True
     for number in range(lights.shape[0]):
@@ -178,12 +179,12 @@ def _from_a_place(count: int, lights: Any, number: int, v: Any) -> None:
     narrow = cutoff > np.float32(-1.5)
     for i in range(count):
         lx = x - v[POINT + i]
-        ly = y - v[POINT + _NEXT + i]
-        lz = z - v[POINT + _LAST + i]
+        ly = y - v[POINT + NEXT + i]
+        lz = z - v[POINT + LAST + i]
         square = lx * lx + ly * ly + lz * lz
         scale = _ONE / np.sqrt(square + _TINY)
         lx, ly, lz = lx * scale, ly * scale, lz * scale
-        v[LIGHT + i], v[LIGHT + _NEXT + i], v[LIGHT + _LAST + i] = lx, ly, lz
+        v[LIGHT + i], v[LIGHT + NEXT + i], v[LIGHT + LAST + i] = lx, ly, lz
         facing = -(lx * dx + ly * dy + lz * dz)
         v[FACING + i] = facing
         v[BASE + i] = max(facing, _ZERO)
@@ -202,12 +203,12 @@ def _from_a_place(count: int, lights: Any, number: int, v: Any) -> None:
 def _reflected(count: int, lights: Any, number: int, v: Any) -> None:
     """Add what the first pixels' points reflect of one light."""
     for i in range(count):
-        lx, ly, lz = v[LIGHT + i], v[LIGHT + _NEXT + i], v[LIGHT + _LAST + i]
-        nx, ny, nz = v[NORMAL + i], v[NORMAL + _NEXT + i], v[NORMAL + _LAST + i]
+        lx, ly, lz = v[LIGHT + i], v[LIGHT + NEXT + i], v[LIGHT + LAST + i]
+        nx, ny, nz = v[NORMAL + i], v[NORMAL + NEXT + i], v[NORMAL + LAST + i]
         v[FACING + i] = lx * nx + ly * ny + lz * nz
         hx = lx + v[VIEW + i]
-        hy = ly + v[VIEW + _NEXT + i]
-        hz = lz + v[VIEW + _LAST + i]
+        hy = ly + v[VIEW + NEXT + i]
+        hz = lz + v[VIEW + LAST + i]
         scale = _ONE / np.sqrt(hx * hx + hy * hy + hz * hz + _TINY)
         hx, hy, hz = hx * scale, hy * scale, hz * scale
         v[BASE + i] = max(hx * nx + hy * ny + hz * nz, _ZERO)

@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from rlco.physics.mj.compiling import inner
-from rlco.physics.rendering.raster_scene import FIRST_LEVEL, NEXT_LEVEL, RADIUS
-from rlco.physics.rendering.raster_state import (
+from rlco.physics.rendering.raster.scene import FIRST_LEVEL, NEXT_LEVEL, RADIUS
+from rlco.physics.rendering.raster.state import (
     CAM_MAT,
     CAM_POS,
     FOCAL,
@@ -75,7 +75,7 @@ def place(
         errors: Detail that each level lacks [m].
         row: The world's numbers.
         at: Where the geom's begin.
-        lens: See `raster_frames.Scratch`.
+        lens: See `frames.Scratch`.
         near: What is closer to the camera is not drawn [m].
         detail: What a level may lack [pixels].
         height: Of the frame.

@@ -14,9 +14,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlco.physics.mj.compiling import inner
-from rlco.physics.rendering.raster_places import LEVEL
-from rlco.physics.rendering.raster_scene import HALF, UNWRAPPED
-from rlco.physics.rendering.raster_state import (
+from rlco.physics.rendering.raster.places import LEVEL
+from rlco.physics.rendering.raster.scene import HALF, UNWRAPPED
+from rlco.physics.rendering.raster.state import (
     GEOM_SIZE,
     MATERIAL,
     REPEAT,
@@ -26,6 +26,7 @@ from rlco.physics.rendering.raster_state import (
 )
 
 PIXELS = 32
+NEXT, LAST = PIXELS, 2 * PIXELS  # from x to y and z of the same pixel
 _ONE, _HALF = np.float32(1.0), np.float32(0.5)
 
 
@@ -105,10 +106,10 @@ def load(
 
     Args:
         count: How many of the pixels.
-        scene: `raster_scene.Scene`.
-        placed: Levels of detail of geoms, (G, 2), see `raster_places.place`.
+        scene: `scene.Scene`.
+        placed: Levels of detail of geoms, (G, 2), see `places.place`.
         matrix: From each geom's frame to the camera's, (G, 12).
-        row: The world's numbers, see `raster_state`.
+        row: The world's numbers, see `state`.
         at: Where the geoms begin there.
         lens: Focal lengths and centre [pixels], (4,).
         p: `Pixels`, written.

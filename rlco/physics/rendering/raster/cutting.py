@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlco.physics.mj.compiling import inner
-from rlco.physics.rendering.raster_filling import STEPS, fill_within
+from rlco.physics.rendering.raster.filling import STEPS, fill_within
 
 _ZERO, _HALF, _ONE = np.float32(0.0), np.float32(0.5), np.float32(1.0)
 _STEPS, _MARGIN = np.float32(STEPS), np.float32(64.0)
@@ -58,14 +58,14 @@ def project_some(
     """Project vertices of which some are behind the camera, or far outside the frame.
 
     Args:
-        points: See `raster_triangles.project`.
-        matrix: See `raster_triangles.project`.
-        lens: See `raster_triangles.project`.
-        near: See `raster_triangles.project`.
+        points: See `triangles.project`.
+        matrix: See `triangles.project`.
+        lens: See `triangles.project`.
+        near: See `triangles.project`.
         height: Of the frame.
         width: Of the frame.
         corners: Written, and only of use where vertices are inside all planes; see
-            `raster_triangles.project`.
+            `triangles.project`.
         inverse: The same.
         cutting: `Cutting`, written.
     """
@@ -116,7 +116,7 @@ def draw_part(
 ) -> None:
     """Draw the part of a triangle that is inside all planes.
 
-    Arguments as of `raster_triangles.draw_triangles`, with the triangle's corners and
+    Arguments as of `triangles.draw_triangles`, with the triangle's corners and
     number.
     """
     polygon, seen, corners = cutting.polygon, cutting.seen, cutting.corners
@@ -157,7 +157,7 @@ def _to_screen(
     corners: Any,
     inverse: Any,
 ) -> None:
-    """Write where points in the camera's frame are, see `raster_triangles.project`."""
+    """Write where points in the camera's frame are, see `triangles.project`."""
     across, down = corners[0], corners[1]
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
     for i in range(count):

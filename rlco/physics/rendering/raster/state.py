@@ -24,9 +24,9 @@ from rlco.physics.mj.libmujoco import (
     pointer_at,
 )
 from rlco.physics.mj.model_struct import model_type
-from rlco.physics.rendering.raster_scene import CAMERA, ID, STILL, Scene
-from rlco.physics.rendering.raster_scene import LIGHTS as MODEL_LIGHTS
-from rlco.physics.rendering.raster_scene import MATERIAL as OWN_MATERIAL
+from rlco.physics.rendering.raster.scene import CAMERA, ID, STILL, Scene
+from rlco.physics.rendering.raster.scene import LIGHTS as MODEL_LIGHTS
+from rlco.physics.rendering.raster.scene import MATERIAL as OWN_MATERIAL
 
 Integers = NDArray[np.int64]
 Array = NDArray[np.float64]
@@ -157,8 +157,8 @@ def read_row(
     """Write the row of one world.
 
     Args:
-        geoms: See `raster_scene.Scene`.
-        numbers: See `raster_scene.Scene`.
+        geoms: See `scene.Scene`.
+        numbers: See `scene.Scene`.
         model: Address of its model.
         state: Addresses of its state's arrays, (6,).
         offsets: See `Sources`.
