@@ -91,6 +91,30 @@ def test_a_face_has_the_colour_of_its_light() -> None:
     assert image[:, 0, 0].tolist() == [0, 0, 0]  # no sky
 
 
+@pytest.mark.parametrize("exponent", [0.0, 3.0, 2.5])
+def test_a_spotlight_lights_its_cone_alone(exponent: float) -> None:
+    # From 1 m above a floor, which is seen from 2 m.
+    model = mujoco.MjModel.from_xml_string(
+        "<mujoco><visual><headlight active='0'/></visual><worldbody>"
+        "<camera name='agentview' pos='0 0 2' fovy='60'/>"
+        "<light type='spot' pos='0 0 1' dir='0 0 -1' cutoff='30' diffuse='.8 .8 .8' "
+        f"ambient='.1 .1 .1' specular='0 0 0' exponent='{exponent}'/>"
+        + geom("type='plane' size='3 3 1' rgba='1 1 1 1'")
+        + "</worldbody></mujoco>"
+    )
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    image = RasterCamera(model, (33, 33)).frame(data)
+    across = (np.arange(33) - 16) / (16.5 / np.tan(np.pi / 6))
+    cosine = 1 / np.sqrt(1 + (2 * np.hypot(*np.meshgrid(across, across))) ** 2)
+    whole = int(exponent)
+    power = cosine**whole * (1 + (exponent - whole) * (cosine - 1))
+    light = power * (0.1 + 0.8 * cosine)  # both fall off; nothing beyond 30 degrees
+    expected = np.where(cosine < np.cos(np.pi / 6), 0.0, 255 * light)
+    assert (expected == 0).any()
+    np.testing.assert_allclose(image, np.broadcast_to(expected, image.shape), atol=0.51)
+
+
 def test_light_without_a_finite_exponent_is_drawn() -> None:
     shiny = "<light pos='0 0 3' exponent='1'/>" + geom(
         "type='box' size='.4 .4 .2' material='m'"

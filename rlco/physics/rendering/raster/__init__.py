@@ -1,5 +1,5 @@
 """rlco's own renderer: a rasteriser in compiled loops, without the GIL or OpenGL."""
 
-from rlco.physics.rendering.raster.camera import Channels, RasterCamera, run_here
+from rlco.physics.rendering.raster.camera import Channels, RasterCamera
 
-__all__ = ["Channels", "RasterCamera", "run_here"]
+__all__ = ["Channels", "RasterCamera"]

@@ -40,7 +40,7 @@ OPAQUE = 0.995
 COMMON = 0  # the background that worlds share while they look alike
 # Detail that may be lost in a frame, and in a background, which is drawn once [pixels].
 DETAIL, FINE = np.float32(1.0), np.float32(0.5)
-# Of numbers and truths of numpy's numba compiles one function, of literals one each.
+# Numpy's numbers: for each literal that it gets, numba compiles a function once more.
 _FRAME: Any = np.int64(0)  # layers of depth and of what is shown
 _GLASS: Any = np.int64(1)
 _NO_SKY: Any = np.bool_(False)
