@@ -91,8 +91,9 @@ def write_page(name: str, experiment: Path, cells: Path) -> str:
         compare = recipe("compare")
         compare.main(compare.Config(**config, hours=0, code="any"))
         tables = (Path(out) / "table.md").read_text("utf-8")
-        figures = ["\n## Figures\n"]
+        figures: list[str] = []
         for figure in sorted(Path(out, "plots").glob("*.png")):
+            figures = figures or ["\n## Figures\n"]
             kept = f"{name}-{figure.stem.replace(' ', '-')}.png"
             shutil.copy(figure, DOCS / "figures" / kept)
             figures.append(f"![{figure.stem}](../figures/{kept})\n")
