@@ -38,7 +38,7 @@ ON_IMAGES = (
     "paper_images",
     "generalisation_images",
 )
-CELLS |= dict.fromkeys(ON_IMAGES, "sight") | {"sight_trained": "sight_rl"}
+CELLS |= dict.fromkeys(ON_IMAGES, "sight")
 CELLS |= dict.fromkeys(("generalisation", "take_off", "data", "alpha"), "paper")
 MARKED = re.compile(
     r"(<!-- results (\w+)(?:: ([^>]+))? -->\n).*?(<!-- end -->)", re.DOTALL

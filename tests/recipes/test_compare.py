@@ -303,6 +303,26 @@ def test_committed_cells_are_found_and_stand(grid: Grid) -> None:
     assert "| first | 37% " in grid.table
 
 
+def test_what_began_from_another_run_than_its_cell_shows_is_named(
+    grid: Grid, capsys: pytest.CaptureFixture[str]
+) -> None:
+    cells = grid.folder / "cells"
+    grid.run(f"cells={cells}")
+    assert "Begun from another run" not in grid.table
+    shutil.rmtree(grid.folder / "out")
+    # As where another processor rounds differently: seed 2 came to 7 there.
+    (path,) = cells.glob("first_seed2-*.json")
+    path.write_text(path.read_text().replace('"successes":2', '"successes":7'))
+    grid.content["over"]["beta"] = [0, 5]
+    grid.content["table"].pop("differences")
+    grid.run(f"cells={cells}")
+    said = capsys.readouterr().err
+    assert "first_seed2 came to something else than its cell, which stands" in said
+    assert "first_seed1 came to something else" not in said
+    ending = "which came to something else (2): second_seed2_beta0, second_seed2_beta5."
+    assert grid.table.endswith(f"{ending}\n")
+
+
 def test_a_plan_says_what_would_run_and_runs_nothing(
     grid: Grid, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -114,9 +114,20 @@ def made_by(jobs: Sequence[Job], store: Store) -> str:
             [cell.processor or "not known" for cell in cells],
         )
     )
+    elsewhere = [job.name for job in jobs if store.elsewhere(job)]
     return (
         f"\n{len(cells)} of {len(jobs)} jobs, recordings among them: {hours:.1f} hours "
         f"of a processor. Commits (jobs): {commits}. Processors: {processors}.\n"
+        + _begun_elsewhere(elsewhere)
+    )
+
+
+def _begun_elsewhere(names: Sequence[str]) -> str:
+    if not names:
+        return ""
+    return (
+        f"\nBegun from another run of the job before them than the tables show, which "
+        f"came to something else ({len(names)}): {', '.join(names)}.\n"
     )
 
 

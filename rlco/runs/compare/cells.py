@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, fields
@@ -39,6 +40,9 @@ class Cell:
         commit: The git commit of rlco; None where there is none.
         versions: Of the libraries.
         finished: When.
+        began_from: What the jobs it goes on from had come to, see `outcome`, by their
+            keys. Rounding differs between processors, so that one that is run again
+            for its folder alone may come to something else than its cell shows.
     """
 
     name: str
@@ -55,6 +59,7 @@ class Cell:
     commit: str | None = None
     versions: dict[str, str] = field(default_factory=dict)
     finished: str = ""
+    began_from: dict[str, str] = field(default_factory=dict)
 
     def write(self, path: Path) -> None:
         """Write it to a file, one row a line."""
@@ -104,6 +109,7 @@ def read_cell(path: Path) -> Cell:
         commit=found.text("commit", None),
         versions=_texts(found, "versions"),
         finished=found.text("finished", ""),
+        began_from=_texts(found, "began_from"),
     )
 
 
@@ -155,6 +161,13 @@ def curves(run: Path, patterns: Iterable[str]) -> dict[str, list[dict[str, float
     return found
 
 
+def outcome(rows: Iterable[dict[str, Any]]) -> str:
+    """Return what tells results apart: a hash of what was solved, whatever it took."""
+    names = ("method", "domain", "variation", "successes", "outcomes")
+    told = [[row.get(name) for name in names] for row in rows]
+    return hashlib.sha256(_compact(told).encode()).hexdigest()[:16]
+
+
 class Store:
     """Cells, by what they are of: those of a folder to commit, and those of runs.
 
@@ -185,20 +198,34 @@ class Store:
         alike = [c for c in self._by_key.values() if c.identity == job.identity]
         return max(alike, key=lambda cell: cell.finished, default=None)
 
+    def elsewhere(self, job: Job) -> bool:
+        """Return whether a job went on from another run than the cells show."""
+        cell = self.find(job)
+        if cell is None:
+            return False
+        return any(
+            (of := self._by_key.get(key)) is not None and outcome(of.rows) != began
+            for key, began in cell.began_from.items()
+        )
+
     def others(self, jobs: Iterable[Job]) -> int:
         """Count the jobs that have cells of another version of the code alone."""
         known = {cell.identity for cell in self._by_key.values()}
         return sum(j.key not in self._by_key and j.identity in known for j in jobs)
 
-    def add(self, job: Job, cell: Cell) -> None:
-        """Write the cell of a job that has just finished."""
-        if job.key in self._by_key:
-            return  # it ran again for its folder alone: the first result stands
+    def add(self, job: Job, cell: Cell) -> Cell:
+        """Write the cell of a job that has just finished; return the one that stands.
+
+        Where it ran again for its folder alone, that is the first one.
+        """
+        if (first := self._by_key.get(job.key)) is not None:
+            return first
         self._by_key[job.key] = cell
         cell.write(self.folder(job) / "cell.json")
         if self.cells is not None:
             self.cells.mkdir(parents=True, exist_ok=True)
             cell.write(self.cells / f"{job.folder}.json")
+        return cell
 
     def folder(self, job: Job) -> Path:
         """Return where a job runs."""

@@ -15,7 +15,7 @@ from typing import Any
 from rlco.errors import DataError
 from rlco.files import read_json
 from rlco.runs import run_folder
-from rlco.runs.compare.cells import Cell, Store, curves, results
+from rlco.runs.compare.cells import Cell, Store, curves, outcome, results
 from rlco.runs.compare.jobs import Job
 from rlco.runs.compare.plan import Plan
 from rlco.runs.compare.processes import Ended, LocalProcesses, Processes
@@ -122,7 +122,8 @@ class Queue:
         attempts = [*attempts_of(folder), _attempt(ended)]
         try:
             _check(job, ended)
-            self.store.add(job, _cell(job, folder / "part", attempts))
+            cell = _cell(job, self.store, attempts)
+            first = self.store.add(job, cell)
         except DataError as error:
             if ended.status < 0 and job not in self._died:
                 self._died.add(job)
@@ -139,6 +140,14 @@ class Queue:
         else:
             (folder / "part").rename(self.store.run_folder(job))
             self._say(job, f"finished after {ended.cpu_seconds / 60:.1f} minutes")
+            if outcome(first.rows) != outcome(cell.rows):
+                log.warning(
+                    "%s came to something else than its cell, which stands (%s; here "
+                    "%s): what goes on from it begins elsewhere than the tables show",
+                    job.name,
+                    first.processor or "processor not known",
+                    cell.processor,
+                )
         write_json(folder / "attempts.json", {"attempts": attempts})
 
     def _say(self, job: Job, what: str) -> None:
@@ -208,7 +217,13 @@ def _attempt(ended: Ended) -> dict[str, Any]:
     return {"status": ended.status, "cpu_seconds": round(ended.cpu_seconds, 2)}
 
 
-def _cell(job: Job, run: Path, attempts: list[dict[str, Any]]) -> Cell:
+def _cell(job: Job, store: Store, attempts: list[dict[str, Any]]) -> Cell:
+    """Return the cell of a job whose process has ended well.
+
+    Raises:
+        DataError: It left no results, though it should have.
+    """
+    run = store.folder(job) / "part"
     return Cell(
         name=job.name,
         key=job.key,
@@ -224,4 +239,9 @@ def _cell(job: Job, run: Path, attempts: list[dict[str, Any]]) -> Cell:
         commit=run_folder.commit(Path(run_folder.__file__).parent),
         versions=run_folder.versions(),
         finished=time.strftime("%Y-%m-%d %H:%M:%S"),
+        began_from={
+            need.key: outcome(results(store.run_folder(need)))
+            for need in job.needs.values()
+            if need.kind.results
+        },
     )

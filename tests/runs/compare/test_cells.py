@@ -67,6 +67,7 @@ def test_a_cell_may_leave_out_what_has_a_default(cell: Path) -> None:
         ("commit", 5),
         ("versions", {"torch": 2}),
         ("finished", 3),
+        ("began_from", {"k": 1}),
         ("more", 1),
     ],
 )
