@@ -2,6 +2,7 @@
 
     uv run recipes/compare.py experiment=benchmarks/experiments/planar.yaml dry=true
     uv run recipes/compare.py experiment=benchmarks/experiments/planar.yaml hours=6
+    uv run recipes/compare.py experiment=... only=[seed=10,task=push_cube]
     uv run recipes/compare.py experiment=... cells=benchmarks/cells/planar hours=0
     uv run recipes/compare.py experiment=... launch=ray ray_address=auto jobs=64
 
@@ -39,6 +40,7 @@ from rlco.runs import run_folder
 from rlco.runs.compare.cells import Store
 from rlco.runs.compare.experiment import Experiment
 from rlco.runs.compare.jobs import Job, expand
+from rlco.runs.compare.only import only
 from rlco.runs.compare.plan import Plan, expected_minutes, make_plan
 from rlco.runs.compare.processes import LocalProcesses, Processes
 from rlco.runs.compare.queue import Queue
@@ -76,6 +78,9 @@ class Config:
         None, "start no further job after so long [h]; 0: tables alone", minimum=0
     )
     nice: int = option(10, "niceness of the jobs", minimum=0, maximum=19)
+    only: list[str] = option(
+        [], "jobs of these values alone, [NAME=VALUE,...]; the tables are of all"
+    )
     smallest: bool = option(
         False, "one value of each variable and short jobs: whether all of it runs"
     )
@@ -93,7 +98,7 @@ def main(config: Config) -> None:
     out = Path(config.out or Path("outputs", "compare", name))
     jobs = expand(experiment)
     store = Store(out, config.cells and Path(config.cells), config.code)
-    plan = make_plan(jobs, store)
+    plan = make_plan(only(jobs, experiment, config.only), store)
     check_launch(config)
     say(plan, store, config.jobs)
     if config.dry:

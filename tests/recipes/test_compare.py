@@ -323,6 +323,22 @@ def test_what_began_from_another_run_than_its_cell_shows_is_named(
     assert grid.table.endswith(f"{ending}\n")
 
 
+def test_a_part_runs_alone_and_the_tables_are_of_all(grid: Grid) -> None:
+    ran = grid.run("jobs=1", "only=[seed=3,seed=1,beta=4]")
+    assert ran == ["first 1", "first 3", "second 1 4", "second 3 4"]
+    assert "| beta 4 | 60% [0%, 100%] | 50% | 2 of 3: 1 missing |" in grid.table
+    assert sorted(grid.run()) == ["first 2", "second 1 0", *ALL[5:8]]
+
+
+@pytest.mark.parametrize("given", ["seed", "who=1", "seed=4", "=1"])
+def test_a_part_that_is_none_is_refused(
+    grid: Grid, capsys: pytest.CaptureFixture[str], given: str
+) -> None:
+    grid.run_and_fail(f"only=[{given}]")
+    assert f"only='{given}'" in capsys.readouterr().err
+    assert not (grid.folder / "out").exists()
+
+
 def test_a_plan_says_what_would_run_and_runs_nothing(
     grid: Grid, capsys: pytest.CaptureFixture[str]
 ) -> None:
