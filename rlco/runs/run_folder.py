@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import fcntl
+import functools
 import os
 import platform
 import shlex
@@ -178,6 +179,7 @@ def commit(folder: Path) -> str | None:
     return f"{head}-dirty" if changes else head
 
 
+@functools.cache  # reading every library's metadata takes 30 ms, for each cell and run
 def versions() -> dict[str, str]:
     """Return the versions of Python and of the libraries that decide a result."""
     found = {"python": platform.python_version()}
