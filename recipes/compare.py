@@ -39,6 +39,7 @@ from rlco.run import run_recipe
 from rlco.runs import run_folder
 from rlco.runs.compare.cells import Store
 from rlco.runs.compare.experiment import Experiment
+from rlco.runs.compare.forked_processes import ForkedProcesses
 from rlco.runs.compare.jobs import Job, expand
 from rlco.runs.compare.only import only
 from rlco.runs.compare.plan import Plan, expected_minutes, make_plan
@@ -154,7 +155,7 @@ def check_launch(config: Config) -> None:
 def processes_of(config: Config) -> Processes:
     """Return where jobs run."""
     if config.launch == "local":
-        return LocalProcesses()
+        return ForkedProcesses() if config.smallest else LocalProcesses()
     from rlco.runs.compare.ray_processes import RayProcesses
 
     return RayProcesses(config.ray_address, config.jobs)

@@ -8,16 +8,17 @@ from typing import Any
 from rlco.files import read_yaml
 from rlco.runs.compare.experiment import Experiment, JobKind, Published
 
-#: Options that take long, where a job has them and its script's debug.yaml does not.
+#: Options that take long, where a job or its script's debug.yaml has them.
 _SHORT: dict[str, Any] = {
     "pretrain_scenes": 64,
     "pretrain_passes": 1,
     "horizon": 16,
-    "final_episodes": 4,
+    "final_episodes": 1,
     "batch_size": 32,
     "iterations": 2,
     "updates": 50,
-    "eval_episodes": 4,
+    "eval_every": 2,
+    "eval_episodes": 1,
 }
 
 
@@ -48,7 +49,7 @@ def smallest(experiment: Experiment) -> Experiment:
 
 def _short(job: JobKind) -> JobKind:
     options = dict(job.options)
-    options |= {name: value for name, value in _SHORT.items() if name in options}
+    small: dict[str, Any] = {}
     debug = job.path.with_suffix("") / "debug.yaml"
     if debug.is_file():
         small = read_yaml(debug)
@@ -56,4 +57,6 @@ def _short(job: JobKind) -> JobKind:
         # The smallest recordings have four episodes, of which a part may be asked for.
         options |= {"episodes": "0-3"} if "episodes" in options else {}
         options["config"] = "debug"
+    names = options.keys() | small.keys()
+    options |= {name: value for name, value in _SHORT.items() if name in names}
     return replace(job, options=options, minutes=0.1)
