@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 import functools
 import hashlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -65,7 +65,7 @@ def code_version(script: Path) -> str:
 def _version(files: Mapping[str, Path]) -> str:
     digest = hashlib.sha256()
     for name, path in sorted(files.items()):
-        digest.update(f"{name}\n{_normalised(path.read_bytes(), path)}\n".encode())
+        digest.update(f"{name}\n{_parsed(path.read_bytes(), path).text}\n".encode())
     return digest.hexdigest()
 
 
@@ -76,16 +76,24 @@ def sources(script: Path) -> dict[str, Path]:
     functions, to packages of rlco and to modules beside the script.
     """
     roots = (script.parent.resolve(), ROOT)
+    # Both asked once: most of what is imported lies in neither.
+    beside = {path.stem for path in roots[0].iterdir()}
+    package: dict[str, Path] = {}
+    if "rlco" not in beside:  # which Python would import instead
+        package = {_module(path): path for path in (ROOT / "rlco").rglob("*.py")}
     waiting, found = [script.resolve()], dict[str, Path]()
     known, modules = {*waiting}, set[str]()
     while waiting:
         path = waiting.pop()
         found[_name(path, roots)] = path
-        imports, by_name = _read(path.read_bytes(), path)
-        fresh = {*_imported(imports, path, roots)} - modules
+        content = path.read_bytes()
+        fresh = _imported(content, path, roots) - modules
         modules |= fresh
-        further = {file for module in fresh for file in _files(module, roots)}
-        if by_name:
+        further = {package[module] for module in fresh & package.keys()}
+        for module in fresh:
+            if module.partition(".")[0] in beside:
+                further |= {*_files(module, roots[0])}
+        if _parsed(content, path).by_name:
             further |= {*path.parent.rglob("*.py")}
         waiting += further - known
         known |= further
@@ -100,38 +108,61 @@ def _stamp(path: Path) -> tuple[int, int]:
     return known.st_mtime_ns, known.st_size
 
 
-def _name(path: Path, roots: Sequence[Path]) -> str:
+@functools.cache
+def _name(path: Path, roots: tuple[Path, ...]) -> str:
     """Name a file by where it lies below a root: a checkout may be anywhere."""
     return next(str(path.relative_to(r)) for r in roots if path.is_relative_to(r))
+
+
+@functools.cache
+def _module(path: Path) -> str:
+    """Return the dotted name of a file of rlco."""
+    parts = path.relative_to(ROOT).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def _files(module: str, folder: Path) -> list[Path]:
+    """Return the file of a module in a folder, if it is there."""
+    base = folder.joinpath(*module.split("."))
+    both = (base.with_name(f"{base.name}.py"), base / "__init__.py")
+    return [path for path in both if path.is_file()][:1]
 
 
 Import = ast.Import | ast.ImportFrom
 
 
+@dataclass(frozen=True)
+class _Parsed:
+    """What of a file's syntax counts.
+
+    Attributes:
+        imports: Its import statements.
+        by_name: Whether it imports by names made later, too.
+        text: Its tree, without docstrings.
+    """
+
+    imports: tuple[Import, ...]
+    by_name: bool
+    text: str
+
+
 # Scripts of an experiment share most of their files: each is parsed once.
 @functools.cache
-def _read(content: bytes, path: Path) -> tuple[tuple[Import, ...], bool]:
-    """Return a file's import statements, and whether it imports by names made later."""
+def _parsed(content: bytes, path: Path) -> _Parsed:
     tree = ast.parse(content, str(path))
-    found = [node for node in ast.walk(tree) if isinstance(node, Import)]
-    return tuple(found), _imports_by_name(tree)
+    nodes = list(ast.walk(tree))
+    imports = tuple(node for node in nodes if isinstance(node, Import))
+    for node in nodes:
+        if isinstance(node, _DOCUMENTED) and ast.get_docstring(node, clean=False):
+            node.body = node.body[1:]
+    return _Parsed(imports, any(map(_imports_by_name, nodes)), ast.dump(tree))
 
 
 @functools.cache
-def _normalised(content: bytes, path: Path) -> str:
-    """Return a file's syntax tree as text, without its docstrings."""
-    tree = ast.parse(content, str(path))
-    for node in ast.walk(tree):
-        if isinstance(node, _DOCUMENTED) and ast.get_docstring(node, clean=False):
-            node.body = node.body[1:]
-    return ast.dump(tree)
-
-
-def _imported(
-    imports: Sequence[Import], path: Path, roots: Sequence[Path]
-) -> Iterator[str]:
-    """Yield the dotted names that a file imports, the packages above them too."""
-    for node in imports:
+def _imported(content: bytes, path: Path, roots: tuple[Path, ...]) -> frozenset[str]:
+    """Return the dotted names that a file imports, the packages above them too."""
+    found = set[str]()
+    for node in _parsed(content, path).imports:
         if isinstance(node, ast.Import):
             names = [alias.name for alias in node.names]
         else:
@@ -139,10 +170,11 @@ def _imported(
             names = [base, *(f"{base}.{alias.name}" for alias in node.names)]
         for name in names:
             parts = name.split(".")
-            yield from (".".join(parts[:end]) for end in range(1, len(parts) + 1))
+            found |= {".".join(parts[:end]) for end in range(1, len(parts) + 1)}
+    return frozenset(found)
 
 
-def _base(node: ast.ImportFrom, path: Path, roots: Sequence[Path]) -> str:
+def _base(node: ast.ImportFrom, path: Path, roots: tuple[Path, ...]) -> str:
     """Return the absolute name that a ``from`` statement imports from."""
     if not node.level:
         return node.module or ""
@@ -150,23 +182,7 @@ def _base(node: ast.ImportFrom, path: Path, roots: Sequence[Path]) -> str:
     return ".".join([*package, *([node.module] if node.module else [])])
 
 
-def _files(module: str, roots: Sequence[Path]) -> list[Path]:
-    """Return the file of a module, if it is rlco's or lies beside the script."""
-    beside, root = roots
-    for folder in (beside, root):
-        if folder == root and module.partition(".")[0] != "rlco":
-            continue
-        base = folder.joinpath(*module.split("."))
-        for path in (base.with_name(f"{base.name}.py"), base / "__init__.py"):
-            if path.is_file():
-                return [path]
-    return []
-
-
-def _imports_by_name(tree: ast.Module) -> bool:
-    return any(
-        isinstance(node, ast.Call)
-        and getattr(node.func, "attr", getattr(node.func, "id", ""))
-        in ("import_module", "__import__")
-        for node in ast.walk(tree)
-    )
+def _imports_by_name(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and getattr(
+        node.func, "attr", getattr(node.func, "id", "")
+    ) in ("import_module", "__import__")
