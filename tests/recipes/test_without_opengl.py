@@ -69,11 +69,19 @@ print(len(image.unique()) > 50)
 @pytest.mark.slow
 def test_both_stages_train_from_images_without_opengl(tmp_path: Path) -> None:
     demos, first, second = (tmp_path / name for name in ("demos", "sft", "rl_co"))
-    seen = ["image=conv", "use_environment_state=false"]
+    # The recommended encoder: its labelled scenes are drawn here, too.
+    seen = ["image=dense", "image_fixed=true", "use_environment_state=false"]
+    seen += ["pretrain_scenes=16", "pretrain_passes=1"]
     calls = {
         "record_demos": ["episodes=1", "camera=agentview", "image_size=64", demos],
         "sft": [f"sim_demos={demos}", f"real_demos={demos}", *SFT, *seen, first],
-        "rl_co": [f"policy={first / 'policy'}", f"real_demos={demos}", *RL_CO, second],
+        "rl_co": [
+            f"policy={first / 'policy'}",
+            f"real_demos={demos}",
+            *RL_CO,
+            "image_fixed=true",
+            second,
+        ],
     }
     script = "from recipe_cases import start\n" + "".join(
         f"start({name!r}, *{[*map(str, given[:-1]), f'out={given[-1]}']!r})\n"
@@ -82,9 +90,6 @@ def test_both_stages_train_from_images_without_opengl(tmp_path: Path) -> None:
     without_opengl(script)
     for folder in (first, second):
         policy = json.loads((folder / "policy" / "policy.json").read_text())
-        assert policy["arguments"]["image"] == {
-            "kind": "conv",
-            "size": [64, 64],
-            "renderer": "raster",
-            "camera": "agentview",
-        }
+        image = policy["arguments"]["image"]
+        assert (image["kind"], image["size"]) == ("dense", [64, 64])
+        assert (image["renderer"], image["camera"]) == ("raster", "agentview")

@@ -13,7 +13,7 @@ from torchrl.objectives import ClipPPOLoss
 from torchvision.models import mobilenet_v2
 
 from rlco.errors import CheckpointError, ConfigError, DataError, UnknownNameError
-from rlco.keys import IMAGE, INSTRUCTION_ID
+from rlco.keys import IMAGE, IMAGE_FEATURES, INSTRUCTION_ID
 from rlco.losses import CoTrainingLoss, ImitationLoss, gradient_agreement, log_probs
 from rlco.policies import ImageEncoder, ValueNetwork, load_policy, save_policy
 from rlco.policies.nets.image_encoder import SpatialSoftmax
@@ -209,6 +209,32 @@ def test_mobilenet_is_trained_only_where_asked(weights: str, frozen: bool) -> No
     assert any(k.startswith("points") for k in moved)
     assert any(k.startswith("network") for k in moved) is not frozen
     assert not any("running" in k for k in moved)
+
+
+def test_mobilenets_maps_are_kept_and_not_recomputed(weights: str) -> None:
+    image = {"kind": "mobilenet", "size": (64, 64), "weights": weights}
+    policy = tiny("gaussian", image=image)
+    policy.fix_images()
+    with torch.no_grad():
+        td = policy(seen(observations(6)))
+    images = td[IMAGE]
+    batch = td.select(*policy.replay_keys)
+    assert IMAGE not in batch
+    torch.testing.assert_close(batch[IMAGE_FEATURES], policy.encoder.image(images))
+    calls: list[int] = []
+    policy.encoder.image.register_forward_hook(lambda *_: calls.append(1))
+    batch["vla_action", "log_probs"] = log_probs(policy, batch)
+    batch["advantage"] = torch.randn(6, 1)
+    before = {k: v.clone() for k, v in policy.encoder.image.state_dict().items()}
+    loss = ClipPPOLoss(policy, None, entropy_bonus=False, critic_coeff=None)
+    out = loss(batch)
+    assert float(out["max_ratio"].detach()) == pytest.approx(1.0, abs=1e-5)
+    optimizer = torch.optim.AdamW(loss.parameters(), 1e-2)
+    out["loss_objective"].backward()
+    optimizer.step()
+    assert not calls
+    after = policy.encoder.image.state_dict()
+    assert all(torch.equal(value, before[name]) for name, value in after.items())
 
 
 def test_a_critic_may_see_too() -> None:
