@@ -234,6 +234,7 @@ class DemoWriter:
         if self._episodes is not None:
             self._episodes.close()
         self._dataset.finalize()
+        _order_statistics(self.path / "meta" / "stats.json")
 
     def _numbers(self, name: str, value: npt.ArrayLike) -> npt.NDArray[np.float32]:
         array = np.array(value, np.float32)
@@ -299,3 +300,15 @@ def _problems(
     if (not cameras) != (image_size is None):
         problems.append("camera and image_size belong together; give both or neither")
     return problems
+
+
+def _order_statistics(path: Path) -> None:
+    """Sort the features of statistics: LeRobot writes them in the order of a set.
+
+    That differs from process to process. The same recording is to be the same bytes,
+    by which a run that is resumed knows its demonstrations.
+    """
+    if path.exists():  # not where no episode was saved
+        stats = json.loads(path.read_text("utf-8"))
+        ordered = json.dumps(dict(sorted(stats.items())), indent=4, ensure_ascii=False)
+        path.write_text(ordered, "utf-8")

@@ -161,6 +161,16 @@ def test_pictures_come_back(tmp_path: Path, video: bool) -> None:
     assert mean_error.max() <= (4.0 if video else 0.0)
 
 
+def test_statistics_are_in_order_whatever_the_process(tmp_path: Path) -> None:
+    image = np.zeros((3, 64, 64), np.uint8)
+    cameras: dict[str, Any] = {"camera": "front", "image_size": (64, 64)}
+    with DemoWriter(tmp_path / "set", fps=20, **cameras, **NAMES) as writer:
+        record(writer, image=image)
+    features = list(json.loads((tmp_path / "set/meta/stats.json").read_text()))
+    assert "observation.images.front" in features
+    assert features == sorted(features)
+
+
 def test_existing_folder_is_refused_untouched(tmp_path: Path) -> None:
     (tmp_path / "set").mkdir()
     (tmp_path / "set/notes.txt").write_text("mine")
