@@ -186,6 +186,7 @@ class DemoWriter:
             )
         if not self.saved_episodes:
             raise DataError(f"nothing was recorded to {str(self.path)!r}.")
+        _order_statistics(self.path / "meta" / "stats.json")
         sync_tree(self.path)  # else a power cut leaves empty files that nothing marks
         (self.path / UNFINISHED_MARK).unlink()
 
@@ -234,7 +235,6 @@ class DemoWriter:
         if self._episodes is not None:
             self._episodes.close()
         self._dataset.finalize()
-        _order_statistics(self.path / "meta" / "stats.json")
 
     def _numbers(self, name: str, value: npt.ArrayLike) -> npt.NDArray[np.float32]:
         array = np.array(value, np.float32)
@@ -308,7 +308,6 @@ def _order_statistics(path: Path) -> None:
     That differs from process to process. The same recording is to be the same bytes,
     by which a run that is resumed knows its demonstrations.
     """
-    if path.exists():  # not where no episode was saved
-        stats = json.loads(path.read_text("utf-8"))
-        ordered = json.dumps(dict(sorted(stats.items())), indent=4, ensure_ascii=False)
-        path.write_text(ordered, "utf-8")
+    from lerobot.utils.io_utils import load_json, write_json
+
+    write_json(dict(sorted(load_json(path).items())), path)

@@ -731,3 +731,4 @@ def test_every_experiment_has_a_smallest_form_that_its_scripts_take(path: Path) 
         assert getattr(config, "iterations", 2) <= 2
         assert getattr(config, "updates", 50) <= 50
         assert getattr(config, "episodes", "") in (4, "", "0-3")
+        assert getattr(config, "eval_episodes", 1) <= 1

@@ -90,6 +90,9 @@ def test_both_stages_train_from_images_without_opengl(tmp_path: Path) -> None:
     without_opengl(script)
     for folder in (first, second):
         policy = json.loads((folder / "policy" / "policy.json").read_text())
-        image = policy["arguments"]["image"]
-        assert (image["kind"], image["size"]) == ("dense", [64, 64])
-        assert (image["renderer"], image["camera"]) == ("raster", "agentview")
+        assert policy["arguments"]["image"] == {
+            "kind": "dense",
+            "size": [64, 64],
+            "renderer": "raster",
+            "camera": "agentview",
+        }

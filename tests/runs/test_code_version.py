@@ -104,3 +104,14 @@ def test_the_runner_is_no_part_of_what_it_runs() -> None:
     for path in (ROOT / "recipes").glob("*.py"):
         if path.stem != "compare":
             assert not any("runs/compare/" in name for name in sources(path))
+
+
+def test_a_package_of_that_name_beside_the_script_is_the_one_that_is_imported(
+    script: Path,
+) -> None:
+    (script.parent / "rlco").mkdir()
+    (script.parent / "rlco" / "__init__.py").write_text("")
+    (script.parent / "rlco" / "errors.py").write_text("def suggest(): ...")
+    found = sources(script)
+    assert found["rlco/errors.py"] == script.parent / "rlco" / "errors.py"
+    assert {path for path in found.values() if ROOT / "rlco" in path.parents} == set()

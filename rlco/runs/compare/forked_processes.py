@@ -6,20 +6,19 @@ counted starts in processes of its own.
 
 from __future__ import annotations
 
-import ctypes
 import importlib
 import logging
 import os
 import runpy
 import signal
 import sys
-import time
 import traceback
 from collections.abc import Sequence
 from pathlib import Path
 from typing import NoReturn
 
-from rlco.runs.compare.processes import PATIENCE, Ended
+from rlco.runs.compare.launch import become_job
+from rlco.runs.compare.processes import Ended, interrupt, take_in
 
 #: What the recipes of an experiment import, which takes far longer than short jobs do.
 _HEAVY = (
@@ -34,7 +33,6 @@ _HEAVY = (
     "rlco.training.stage_one",
     "rlco.training.stage_two",
 )
-_DIES_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux's prctl
 
 
 class ForkedProcesses:
@@ -60,21 +58,11 @@ class ForkedProcesses:
 
     def poll(self, process: int) -> Ended | None:
         """Return how a process ended; None while it runs."""
-        number, status, usage = os.wait4(process, os.WNOHANG)
-        if not number:
-            return None
-        code = os.waitstatus_to_exitcode(status)
-        return Ended(code, usage.ru_utime + usage.ru_stime)
+        return take_in(process)
 
     def stop(self, process: int) -> Ended:
-        """Interrupt a process as Ctrl-C does; kill it if that does not help."""
-        os.kill(process, signal.SIGINT)
-        asked = time.monotonic()
-        while (ended := self.poll(process)) is None:
-            if time.monotonic() - asked > PATIENCE:
-                os.kill(process, signal.SIGKILL)
-            time.sleep(0.05)
-        return ended
+        """Interrupt a process."""
+        return interrupt(process)
 
     def close(self) -> None:
         """Nothing is held."""
@@ -84,12 +72,9 @@ def _run(words: Sequence[str], log: Path, nice: int, parent: int) -> NoReturn:
     """Run a script in this fork, which never returns to what its parent was doing."""
     status = 1
     try:
+        become_job(parent, nice)
+        # As a Python that is started sets it; the parent's own is the parent's.
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        if sys.platform == "linux":
-            ctypes.CDLL(None).prctl(_DIES_WITH_PARENT, signal.SIGTERM)
-            if os.getppid() != parent:  # it ended before this one was bound to it
-                os._exit(1)
-        os.nice(nice)
         _write_to(log)
         sys.argv = list(words)
         sys.path[0] = str(Path(words[0]).parent)

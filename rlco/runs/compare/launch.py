@@ -11,15 +11,21 @@ import sys
 
 _DIES_WITH_PARENT = 1  # PR_SET_PDEATHSIG of Linux's prctl
 
-if __name__ == "__main__":
-    parent, nice, *command = sys.argv[1:]
-    os.nice(int(nice))
+
+def become_job(parent: int, nice: int) -> None:
+    """Make this process a job of its parent: it hears it, and ends when it does."""
+    os.nice(nice)
     # Whoever interrupts it must be heard, also where its parent does not hear: workers
     # of Ray block signals, commands in the background of a script ignore them.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT, signal.SIGTERM})
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_DIES_WITH_PARENT, signal.SIGTERM)
-        if os.getppid() != int(parent):  # it ended before it was bound to
+        if os.getppid() != parent:  # it ended before it was bound to
             sys.exit(1)
+
+
+if __name__ == "__main__":
+    parent, nice, *command = sys.argv[1:]
+    become_job(int(parent), int(nice))
     os.execv(command[0], command)

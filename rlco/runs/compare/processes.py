@@ -86,20 +86,34 @@ def start(command: Sequence[str], log: Path, *, nice: int) -> subprocess.Popen[b
 def poll(process: subprocess.Popen[bytes]) -> Ended | None:
     """Return how a process ended; None while it runs."""
     # Popen's own poll would not tell the time on the processor.
-    pid, status, usage = os.wait4(process.pid, os.WNOHANG)
-    if not pid:
-        return None
-    process.returncode = os.waitstatus_to_exitcode(status)
-    return Ended(process.returncode, usage.ru_utime + usage.ru_stime)
+    if (ended := take_in(process.pid)) is not None:
+        process.returncode = ended.status
+    return ended
 
 
 def stop(process: subprocess.Popen[bytes]) -> Ended:
     """Interrupt a process as Ctrl-C does; kill it if that does not help."""
     # Not by Popen's own method: that takes an ended process in, and its time is lost.
-    os.kill(process.pid, signal.SIGINT)
+    ended = interrupt(process.pid)
+    process.returncode = ended.status
+    return ended
+
+
+def interrupt(number: int) -> Ended:
+    """Interrupt a child as Ctrl-C does; kill it if that does not help."""
+    os.kill(number, signal.SIGINT)
     asked = time.monotonic()
-    while (ended := poll(process)) is None:
+    while (ended := take_in(number)) is None:
         if time.monotonic() - asked > PATIENCE:
-            os.kill(process.pid, signal.SIGKILL)
+            os.kill(number, signal.SIGKILL)
         time.sleep(0.05)
     return ended
+
+
+def take_in(number: int) -> Ended | None:
+    """Return how a child ended; None while it runs."""
+    done, status, usage = os.wait4(number, os.WNOHANG)
+    if not done:
+        return None
+    code = os.waitstatus_to_exitcode(status)
+    return Ended(code, usage.ru_utime + usage.ru_stime)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
 import subprocess
@@ -52,6 +53,23 @@ def test_a_script_sees_its_options_its_folder_and_its_name(
     assert set(sys.modules) == modules
 
 
+def test_what_it_logs_goes_to_its_log_alone(
+    forks: ForkedProcesses, tmp_path: Path
+) -> None:
+    parents = logging.FileHandler(tmp_path / "parents.txt")
+    logger = logging.getLogger("rlco")
+    logger.addHandler(parents)
+    script = "import logging\nlogger = logging.getLogger('rlco')\n"
+    script += "logger.addHandler(logging.StreamHandler())\nlogger.warning('heard')"
+    try:
+        assert run(forks, tmp_path, script).status == 0
+    finally:
+        logger.removeHandler(parents)
+        parents.close()
+    assert (tmp_path / "log.txt").read_text() == "heard\n"
+    assert not (tmp_path / "parents.txt").read_text()
+
+
 @pytest.mark.parametrize(
     ("script", "status", "said"),
     [
@@ -81,8 +99,11 @@ WAITS = "import pathlib, time\npathlib.Path(__file__ + '.on').touch()\ntime.slee
 
 
 def wait_for(path: Path) -> None:
-    while not path.exists():
+    for _ in range(6000):
+        if path.exists():
+            return
         time.sleep(0.01)
+    pytest.fail(f"nobody wrote {path}")
 
 
 def test_an_interruption_ends_it(forks: ForkedProcesses, tmp_path: Path) -> None:
