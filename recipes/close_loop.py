@@ -140,7 +140,7 @@ def stage_one(config: Config, **given: Any) -> StageOneOptions:
 
 def compare(config: Config, run: Run, found: Path, hidden: Path) -> list[ResultRow]:
     """Train by every method and seed, and evaluate where the effect is."""
-    from rlco.evaluation import EVALUATION_SEED, evaluate, evaluation_env
+    from rlco.evaluation import evaluate, evaluation_env, final_states_seed
     from rlco.physics.spec.domain import make_domain
 
     domain = make_domain(config.simulator)
@@ -155,7 +155,7 @@ def compare(config: Config, run: Run, found: Path, hidden: Path) -> list[ResultR
                 chunk=policy.chunk,
                 episodes=config.eval_episodes,
                 effects=str(hidden),
-                seed=EVALUATION_SEED + 2 + seed,
+                seed=final_states_seed(seed),
             )
             result = evaluate(policy, env, config.eval_episodes)
             log.info("seed %d, %-7s: %s", seed, method, result)
