@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
@@ -91,6 +92,9 @@ def labelled_scenes(
         raise ConfigError(problems)
     check_renderer(renderer)
     task, where = check_task(task), with_look(make_domain(domain), look)
+    # No more episodes than a few scenes need: each has at least these.
+    scenes = max((task.training_horizon or task.horizon) // every, 1)
+    num_envs = min(num_envs, math.ceil(count / scenes))
     stepper = NativeStepper(task, where, num_envs=num_envs, threads=threads)
     views = Views(stepper, where.look, image_size, cameras=cameras, renderer=renderer)
     parts: list[TensorDict] = []

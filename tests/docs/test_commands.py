@@ -372,5 +372,6 @@ def test_a_block_of_commands_runs(
     left_out = set(EFFECTS) - {"payload", "joint_offset", "command_delay"}
     few = functools.partial(rlco.gap.run_gap, exclude=left_out)
     monkeypatch.setattr(rlco.gap, "run_gap", few)
+    monkeypatch.setattr("rlco.training.pretraining.HELD_OUT", 4)  # scenes to draw
     for command in block:
         assert not run(command, folders), command.text

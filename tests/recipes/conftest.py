@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import pytest
 from recipe_cases import RL_CO, SFT, Assets, start
 
@@ -37,3 +39,11 @@ def inputs(assets: Assets) -> dict[str, list[str]]:
         "sft": [*demos(assets), *SFT],
         "rl_co": [*stage_one(assets), *RL_CO],
     }
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_scenes_held_out() -> Iterator[None]:
+    """Measure a pretrained encoder's error on 16 scenes: to draw 400 takes longer."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("rlco.training.pretraining.HELD_OUT", 16)
+        yield

@@ -334,10 +334,7 @@ def test_a_scene_is_the_same_in_every_domain() -> None:
 
 
 @pytest.mark.slow
-def test_quickstart_tells_its_story_from_images_alone(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("rlco.training.pretraining.HELD_OUT", 4)
+def test_quickstart_tells_its_story_from_images_alone(tmp_path: Path) -> None:
     folder = tmp_path / "quick"
     few = ["sim_demos=1", "real_demos=1", "heldout_demos=1", "updates=2", "film=false"]
     few += ["pretrain_scenes=8", "pretrain_passes=1", "methods=[rl_co]"]

@@ -69,7 +69,7 @@ def test_a_fixed_encoder_stays_as_it_was_pretrained_and_a_trained_one_does_not(
     assert all(row["loss_position"] > 0 for row in rows)
     assert "loss_position" not in read_metrics(drawn.fixed / "metrics.csv")[0]
     log = (drawn.fixed / "log.txt").read_text()
-    assert " mm on average in 400 new scenes" in log
+    assert " mm on average in 16 new scenes" in log
 
 
 def test_an_encoder_that_learns_without_labels_is_warned_of(

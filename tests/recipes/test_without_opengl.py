@@ -83,7 +83,12 @@ def test_both_stages_train_from_images_without_opengl(tmp_path: Path) -> None:
             second,
         ],
     }
-    script = "from recipe_cases import start\n" + "".join(
+    script = (
+        "import rlco.training.pretraining\n"
+        "rlco.training.pretraining.HELD_OUT = 4\n"  # of 400: to draw them takes longer
+        "from recipe_cases import start\n"
+    )
+    script += "".join(
         f"start({name!r}, *{[*map(str, given[:-1]), f'out={given[-1]}']!r})\n"
         for name, given in calls.items()
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from typing import Any, NamedTuple
 
 import mujoco
@@ -9,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlco.physics.mj.compiling import inner
+from rlco.physics.rendering.raster.same_arrays import SameArrays
 
 # Larger textures are halved until they fit: no picture shows more of them [texels].
 LARGEST = 512
@@ -43,14 +45,14 @@ def read_textures(model: mujoco.MjModel) -> Textures:
     levels: list[tuple[int, ...]] = []
     table, means, at = [], [], 3
     for index in range(model.ntex):
-        found = _levels(_images(model, index))
+        found, mean = _levels_and_mean(SameArrays(_images(model, index)))
         first = len(levels)
         for level in found:
             levels.append((at, *level.shape[1:3]))
             texels.append(level.ravel())
             at += level.size
         table.append((model.tex_type[index], len(found[0]), first, len(levels)))
-        means.append(found[0].reshape(-1, 3).mean(axis=0) / 255.0)
+        means.append(mean)
     return Textures(
         texels=np.concatenate(texels),
         levels=np.array(levels, dtype=np.int64).reshape(-1, 3),
@@ -73,6 +75,13 @@ def _images(model: mujoco.MjModel, index: int) -> NDArray[np.uint8]:
     if model.tex_type[index] != FLAT:
         faces = height // width  # one image may stand for all six sides
     return np.ascontiguousarray(image.reshape(faces, height // faces, width, 3))
+
+
+@functools.lru_cache(maxsize=32)
+def _levels_and_mean(image: SameArrays) -> tuple[list[NDArray[np.uint8]], Any]:
+    """Return images in sizes that halve, and their average colour, shares of 1 (3,)."""
+    levels = _levels(image.arrays[0])
+    return levels, levels[0].reshape(-1, 3).mean(axis=0) / 255.0
 
 
 def _levels(images: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
