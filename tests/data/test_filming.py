@@ -24,7 +24,7 @@ SIZE = (64, 64)
 @pytest.mark.usefixtures("rendering")
 def test_pictures_are_the_environments_at_each_control_step() -> None:
     # Noise enough that most episodes of this seed fail and are passed over.
-    options = {"episodes": 2, "seed": 12, "noise": 1.0}
+    options = {"episodes": 1, "seed": 12, "noise": 1.0}
     plain = demonstrate(TASK, SIM, num_envs=4, **options)
     filmed = film_demonstrations(
         TASK, SIM, camera="agentview", image_size=SIZE, **options
@@ -47,7 +47,7 @@ def test_pictures_are_the_environments_at_each_control_step() -> None:
             action = torch.from_numpy(one.action[step]).float().view(1, 1, 7)
             td = env.step(TensorDict({ACTION: action}, [1]))["next"]
         assert not np.array_equal(images[0], images[-1])
-    assert episodes != [0, 1]
+    assert episodes != [0]
     env.close()
 
 

@@ -92,6 +92,12 @@ THOROUGH = (
     "uv run recipes/rl_co.py resume=outputs/mine",
     "uv run recipes/find_gap.py model=robosuite:push_cube",
     "uv run recipes/find_gap.py model=arm.xml data=logs out=report",
+    "uv run recipes/record_demos.py domain=sim episodes=40 out=demos/sim",
+    "uv run recipes/quickstart.py 'methods=[sft,rl_co]'",
+    "uv run recipes/rl_co.py policy=... real_demos=... advantage=mc",
+    "uv run recipes/rl_co.py policy=outputs/sft/RUN/policy real_demos=demos/robot",
+    "uv run recipes/lerobot_co_train.py policy=CHECKPOINT real_demos=demos/real",
+    "PYTHONPATH=. uv run recipes/rl_co.py train_domain=my_domains:slippery",
 )
 # What a page cannot run here: it needs a network, a robot, hours, or is run elsewhere.
 ELSEWHERE = {

@@ -63,8 +63,9 @@ def played(stepper: NativeStepper, seed: int, actions: Array | None = None) -> A
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("delay", [0.13, 0.1, 0.004])
-@pytest.mark.parametrize("period", [0.0, 0.12, 0.03])
+@pytest.mark.parametrize(
+    ("delay", "period"), [(0.13, 0.0), (0.1, 0.12), (0.004, 0.03), (0.13, 0.12)]
+)
 def test_without_spread_it_is_a_fixed_delay_to_the_last_bit(
     delay: float, period: float
 ) -> None:

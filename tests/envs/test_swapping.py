@@ -94,7 +94,13 @@ def collect(env: EnvBase, policy: Any, critic: Any) -> TensorDictBase:
     return out
 
 
-@pytest.mark.parametrize("name", ENVIRONMENTS)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=pytest.mark.thorough) if "LIBERO" in name else name
+        for name in ENVIRONMENTS
+    ],
+)
 def test_the_same_policy_and_the_same_loop_run(name: str) -> None:
     torch.manual_seed(0)
     env = ENVIRONMENTS[name]()

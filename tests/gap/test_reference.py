@@ -194,6 +194,7 @@ def files(before: Log, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_reports_show_before_after_and_the_difference(
     files: Path, tmp_path: Path
 ) -> None:

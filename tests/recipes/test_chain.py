@@ -26,7 +26,10 @@ from rlco.runs.state_files import rng_state
 
 pytestmark = pytest.mark.slow
 
-STAGES = pytest.mark.parametrize("stage", ["sft", "rl_co"])
+# Stage II is resumed from a kill below, to the same metrics.
+STAGES = pytest.mark.parametrize(
+    "stage", ["sft", pytest.param("rl_co", marks=pytest.mark.thorough)]
+)
 
 
 def test_recording_again_gives_the_same_data(assets: Assets, tmp_path: Path) -> None:
@@ -246,7 +249,8 @@ def whole(
     return folder
 
 
-@pytest.mark.parametrize("killed_at", [pytest.param(2, marks=pytest.mark.thorough), 4])
+@pytest.mark.thorough
+@pytest.mark.parametrize("killed_at", [2, 4])
 def test_a_killed_run_keeps_the_same_best_policy(
     inputs: dict[str, list[str]],
     whole: Path,

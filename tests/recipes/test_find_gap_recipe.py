@@ -191,7 +191,11 @@ def test_an_effect_of_ones_own_is_found_and_torch_is_not_needed(tmp_path: Path) 
 
 
 @pytest.mark.parametrize(
-    ("number", "status"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
+    ("number", "status"),
+    [
+        (signal.SIGINT, 130),
+        pytest.param(signal.SIGTERM, 143, marks=pytest.mark.thorough),
+    ],
 )
 def test_ctrl_c_or_sigterm_writes_the_best_so_far_however_often(
     case: list[str], tmp_path: Path, number: signal.Signals, status: int

@@ -39,6 +39,7 @@ def test_stage_one_learns_from_demonstrations_of_lift(policy: Path) -> None:
     assert extra["state_names"][:3] == ["tool.x", "tool.y", "tool.z"]
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_stage_two_learns_on_robosuites_copies(
     policy: Path, demos: Path, tmp_path: Path

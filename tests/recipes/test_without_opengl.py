@@ -56,6 +56,7 @@ def without_opengl(script: str, *arguments: str) -> str:
     return done.stdout
 
 
+@pytest.mark.thorough
 def test_an_environment_draws_without_opengl() -> None:
     script = """
 from rlco.envs import make_env

@@ -103,6 +103,7 @@ def test_nothing_is_named_where_nothing_changed(
     assert not find_gap(found.problem, exclude=OTHERS).effects
 
 
+@pytest.mark.thorough
 def test_demonstrations_of_another_kind_are_refused(
     nominal: TaskSpaceProblem, before: Log
 ) -> None:
@@ -128,6 +129,7 @@ def test_demonstrations_of_another_kind_are_refused(
         changed_task(nominal, before, slow, lacks(nominal))
 
 
+@pytest.mark.thorough
 def test_an_axis_that_changed_is_not_turned_back(
     nominal: TaskSpaceProblem, before: Log
 ) -> None:

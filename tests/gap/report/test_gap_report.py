@@ -20,6 +20,7 @@ from rlco.gap.compare.verdict import FreeForm, NamedEffect, Value, Verdict
 from rlco.gap.diagnose.regimes import label_regimes
 from rlco.gap.diagnose.traces import best_stretches, figure_data
 from rlco.gap.diagnose.where import where
+from rlco.gap.report import report_html
 from rlco.gap.report.figures import gap_bars, heat_map, png, trace_figure
 from rlco.gap.report.free_form import free_form_figure, free_form_section
 from rlco.gap.report.next_steps import next_steps
@@ -97,6 +98,22 @@ def test_json_ends_an_open_interval_at_the_bounds_of_the_search(problem: Arm) ->
     (bounds,) = EFFECTS["coulomb_friction"].parameters(problem.model, "elbow")
     number = content["effects"][0]["parameters"]["frictionloss"]
     assert (number["low"], number["high"]) == (bounds.low, bounds.high)
+
+
+@pytest.fixture(autouse=True)
+def figures_undrawn(
+    monkeypatch: pytest.MonkeyPatch, request: pytest.FixtureRequest
+) -> None:
+    """Make the figures, but not their pixels: three quarters of a page's time.
+
+    Of a page that is whole and of one without any disagreement they are drawn.
+    """
+    drawn = (
+        test_the_page_needs_nothing_but_itself,
+        test_a_log_of_the_model_itself_has_a_page,
+    )
+    if request.function not in drawn:
+        monkeypatch.setattr(report_html, "png", lambda figure: b"undrawn")
 
 
 def html(problem: Arm, verdict: Verdict, **more: object) -> str:

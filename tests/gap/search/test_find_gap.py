@@ -107,6 +107,7 @@ def test_a_model_that_is_a_little_off_everywhere_has_no_gap() -> None:
     assert not verdict.effects
 
 
+@pytest.mark.thorough
 def test_an_effect_outside_the_library_is_left_unexplained_and_located() -> None:
     near = ("coulomb_friction", "viscous_damping", "actuator_gain", "torque_bias")
     verdict = _verdict(None, _ripple, exclude=_all_but(*near))

@@ -46,6 +46,7 @@ def test_robosuite_quality_equals_robosuites_own_observation(domain: Domain) -> 
     camera.close()
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("task", TASK_NAMES)
 def test_robosuite_quality_equals_robosuites_own_in_every_task(task: str) -> None:
     env = make_robosuite(task, seed=6, image_size=SIZE)

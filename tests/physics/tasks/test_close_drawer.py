@@ -16,6 +16,7 @@ pytestmark = pytest.mark.slow
 TOUCHING = {"outside": 0.017, "side": 0.0, "above": 0.0}
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("domain", DOMAINS, ids=lambda d: d.name)
 def test_the_expert_closes_95_percent_in_every_domain(domain: Domain) -> None:
     assert solved(TASK, domain, 20).mean() >= 0.95

@@ -18,6 +18,7 @@ from rlco.physics.tasks.open_drawer import TASK, sample
 HOOKED = {"outside": -0.0285, "side": 0.0, "above": -0.003}
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 @pytest.mark.parametrize("domain", DOMAINS, ids=lambda d: d.name)
 def test_the_expert_opens_95_percent_in_every_domain(domain: Domain) -> None:

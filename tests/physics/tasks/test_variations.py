@@ -203,7 +203,7 @@ def test_lights_are_refused_with_a_random_look_and_without_images() -> None:
         make()
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @TASKS
 @pytest.mark.parametrize("variation", ["shapes", "initial_states"])
 def test_the_expert_solves_what_changes_the_physics(task: Task, variation: str) -> None:

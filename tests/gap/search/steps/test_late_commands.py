@@ -139,6 +139,7 @@ def test_the_time_of_each_command_is_estimated() -> None:
     assert (late - true).std() < 0.55 * true.std()
 
 
+@pytest.mark.thorough
 @pytest.mark.slow
 def test_an_interrupted_search_with_late_commands_keeps_what_it_had() -> None:
     problem = _problem(_late(MEAN, SPREAD))
