@@ -61,10 +61,11 @@ def policy_of(kind: str) -> Any:
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "augmentation", [pytest.param(None, marks=pytest.mark.thorough), SHIFT]
+    ("augmentation", "passes"),
+    [pytest.param(None, 50, marks=pytest.mark.thorough), (SHIFT, 30)],
 )
 def test_positions_relative_to_the_tool_are_read_from_new_images(
-    augmentation: Augmentation | None,
+    augmentation: Augmentation | None, passes: int
 ) -> None:
     policy, head = policy_of("dense"), PositionHead(128, 2, 2)
     others = {k: v.clone() for k, v in policy.network.state_dict().items()}
@@ -72,7 +73,7 @@ def test_positions_relative_to_the_tool_are_read_from_new_images(
     positions = tool_positions(Plane, scenes)
     head.set_normalization(scenes[keys.STATE], positions)
     before = position_errors(Plane, policy, head, held_out).mean()
-    pretrain(policy, head, scenes, positions, passes=50, augmentation=augmentation)
+    pretrain(policy, head, scenes, positions, passes=passes, augmentation=augmentation)
     after = position_errors(Plane, policy, head, held_out).mean()
     # Squares are anywhere on a unit, and so is the tool; a pixel is a 64th.
     assert before > 0.2
