@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal
 from rlco.data.demos import DemoReplayBuffer, load_demos
 from rlco.data.recorded_task import RecordedTask
 from rlco.errors import DataError, suggest
+from rlco.files import few
 from rlco.keys import ACTION
 from rlco.lerobot_files import LeRobotFolder, read_folder
 from rlco.physics.rendering.image_size import check_image_size
@@ -178,10 +179,10 @@ def camera_key(folder: LeRobotFolder, camera: str | None) -> str:
             return key
     if camera is None:
         raise DataError(
-            f"{where} has several cameras, {', '.join(short)}; say which by "
+            f"{where} has several cameras, {few(short)}; say which by "
             f"real_camera={short[0]}."
         )
     raise DataError(
         f"{where} has no camera {camera!r}{suggest(camera, short)}; it has "
-        f"{', '.join(short)}."
+        f"{few(short)}."
     )

@@ -8,6 +8,7 @@
 from __future__ import annotations
 
 from rlco.files.fields import Fields as Fields
+from rlco.files.reading import few as few
 from rlco.files.reading import reading as reading
 from rlco.files.reading import shown as shown
 from rlco.files.texts import read_json as read_json

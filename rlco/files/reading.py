@@ -5,7 +5,7 @@ from __future__ import annotations
 import reprlib
 import struct
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -128,3 +128,19 @@ def shown(value: Any) -> str:
 def cut(text: str, most: int = _LONGEST) -> str:
     """Return a text without what is beyond its first characters."""
     return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
+#: Of a name in a row of them [characters].
+_NAME = 100
+
+
+def few(names: Sequence[str], most: int = 8) -> str:
+    """Return names in a row, the first few of many.
+
+    Example:
+        >>> few(["hip", "knee", "toe"], most=2)
+        'hip, knee, and 1 more'
+    """
+    listed = [cut(str(name), _NAME) for name in names[:most]]
+    more = [f"and {len(names) - most} more"] if len(names) > most else []
+    return ", ".join([*listed, *more])

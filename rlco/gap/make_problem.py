@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from rlco.errors import DataError, counted
+from rlco.files import few
 from rlco.gap.compare.arm.commands.missing import with_missing_commands
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.compare.comparisons import Compared
@@ -15,7 +16,6 @@ from rlco.gap.compare.noise import position_noise
 from rlco.gap.compare.problem import Hypothesis, Problem
 from rlco.gap.compare.servo.bench import ServoBench
 from rlco.gap.logs.log import Array, Log, Recording
-from rlco.gap.logs.matching import few
 from rlco.gap.logs.names import match_names
 from rlco.gap.model import LoadedModel, load_servo
 from rlco.gap.servo_models import PREFIX, SERVOS, Servo

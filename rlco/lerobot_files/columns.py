@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from rlco.errors import DataError
-from rlco.files import reading
+from rlco.files import few, reading
 from rlco.files.places import inside
 from rlco.lerobot_files.schema import Episode, Feature, LeRobotFolder
 from rlco.lerobot_files.tables import read_table, whole_numbers
@@ -82,7 +82,7 @@ def read_stored_columns(file: Path, stored_names: Sequence[str]) -> pa.Table:
     table = read_table(file, asked)
     lacking = [name for name in asked if name not in table.column_names]
     if lacking:
-        raise DataError(f"file {str(file)!r} has no column {', '.join(lacking)}.")
+        raise DataError(f"file {str(file)!r} has no column {few(lacking)}.")
     return table
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Literal, NoReturn
 
 from rlco.errors import DataError
-from rlco.files import Fields, read_json_lines, shown
+from rlco.files import Fields, few, read_json_lines, shown
 from rlco.files.indices import format_indices
 from rlco.files.places import filled, inside
 from rlco.lerobot_files.schema import Episode, VideoSpan
@@ -107,8 +107,7 @@ def _table_v3(
     lacking = [name for name in (*counts, *starts) if name not in table.schema.names]
     if lacking and table.num_rows:
         raise DataError(
-            f"the episode table of data set {str(path)!r} has no column "
-            f"{', '.join(lacking)}."
+            f"the episode table of data set {str(path)!r} has no column {few(lacking)}."
         )
     if not table.num_rows:
         return

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from rlco.errors import DataError, suggest
-from rlco.files import Fields, read_json, reading, shown
+from rlco.files import Fields, few, read_json, reading, shown
 from rlco.files.places import inside
 from rlco.lerobot_files.episodes import (
     episodes_v2,
@@ -20,6 +20,8 @@ from rlco.lerobot_files.episodes import (
 )
 from rlco.lerobot_files.schema import Feature, LeRobotFolder
 
+#: Of a feature, as messages and tables show it [characters].
+LONGEST_NAME = 200
 #: Exists in a folder from the start of its recording to the end.
 UNFINISHED_MARK = "meta/unfinished"
 #: How rlco recorded a data set: a file of its own, which other programs leave alone.
@@ -139,6 +141,12 @@ def _supported_version(path: Path, info: Fields) -> str:
 def _features(path: Path, info: Fields) -> dict[str, Feature]:
     features = {}
     for name, entry in info.mapping("features").items():
+        if len(name) > LONGEST_NAME:
+            raise DataError(
+                f"feature {shown(name)} of data set {str(path)!r} has a name of "
+                f"{len(name)} characters in meta/info.json; give it one of at most "
+                f"{LONGEST_NAME}."
+            )
         try:
             fields = Fields(entry, f"feature {name!r}")
             shape = tuple(map(_dimension, fields.sequence("shape")))
@@ -180,7 +188,8 @@ def _rename(
         if theirs not in features:
             raise DataError(
                 f"rename names feature {theirs!r}{suggest(theirs, features)}, which "
-                f"data set {str(path)!r} does not have; it has {', '.join(features)}."
+                f"data set {str(path)!r} does not have; it has "
+                f"{few(list(features), 30)}."
             )
         if ours in features and ours not in rename:
             raise DataError(

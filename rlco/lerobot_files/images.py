@@ -15,6 +15,7 @@ import numpy.typing as npt
 import PIL.Image
 
 from rlco.errors import DataError
+from rlco.files import few
 from rlco.files.places import inside
 from rlco.files.sizes import check_held
 from rlco.lerobot_files.columns import (
@@ -59,7 +60,7 @@ def iterate_images(folder: LeRobotFolder, name: str) -> Iterator[Images]:
         return _iterate_video(folder, feature)
     raise DataError(
         f"feature {name!r} of data set {str(folder.path)!r} is not a camera; cameras: "
-        f"{', '.join(folder.cameras) or 'none'}."
+        f"{few(folder.cameras) or 'none'}."
     )
 
 

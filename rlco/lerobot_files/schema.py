@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from rlco.errors import DataError, suggest
+from rlco.files import few
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,8 @@ class LeRobotFolder:
         if name not in self.features:
             raise DataError(
                 f"data set {str(self.path)!r} has no feature {name!r}"
-                f"{suggest(name, self.features)}; it has {', '.join(self.features)}; "
+                f"{suggest(name, self.features)}; it has "
+                f"{few(list(self.features), 30)}; "
                 f'where one of them is meant, give rename={{"its name": "{name}"}}, '
                 f"in a recipe rename=ITS_NAME:{name}."
             )

@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rlco.errors import DataError, counted
-from rlco.files import reading
+from rlco.files import few, reading
 from rlco.files.sizes import check_declared
 from rlco.lerobot_files.parquet_footer import leaves
 
@@ -120,7 +120,7 @@ def real_numbers(file: Path, table: pa.Table, name: str) -> npt.NDArray[np.float
 
 def _numbers(file: Path, table: pa.Table, name: str) -> npt.NDArray[np.generic]:
     if name not in table.column_names:
-        raise DataError(f"file {str(file)!r} has no column {name}.")
+        raise DataError(f"file {str(file)!r} has no column {few([name])}.")
     column = table[name]
     with reading(file, pa.ArrowException):
         values = np.asarray(column.to_numpy())

@@ -449,3 +449,22 @@ def test_terminal_escapes_in_a_name_stay_out_of_messages(root: Path) -> None:
         read(root)
     assert "\x1b" not in str(caught.value)
     assert "\\x1b[2Jstate" in str(caught.value)
+
+
+def test_a_name_longer_than_messages_are(root: Path) -> None:
+    features = json.loads((root / "meta/info.json").read_text())["features"]
+    features["a" * 5000] = features.pop("observation.state")
+    edit(root, features=features)
+    with pytest.raises(DataError, match="has a name of 5000 characters") as caught:
+        read_folder(root)
+    assert len(str(caught.value)) < 800
+
+
+def test_a_folder_of_many_features_names_some_of_them(root: Path) -> None:
+    features = json.loads((root / "meta/info.json").read_text())["features"]
+    number = {"dtype": "float32", "shape": [1]}
+    edit(root, features=features | {f"sensor_{i:05d}": number for i in range(5000)})
+    folder = read_folder(root)
+    with pytest.raises(DataError, match="and 4974 more; where one of them") as caught:
+        folder.feature("torque")
+    assert len(str(caught.value)) < 1500

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 from rlco.errors import DataError, UnknownNameError
+from rlco.files import few
 from rlco.gap.compare.verdict import Gap, Verdict
 from rlco.gap.compare.wording import amount, listed
 from rlco.gap.logs.log import Log
-from rlco.gap.logs.matching import few
 
 Compared = Literal["positions", "torques", "poses", "task"]
 #: What a user may ask for.

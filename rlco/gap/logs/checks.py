@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from rlco.errors import DataError
+from rlco.files import few
 from rlco.gap.logs.log import Array, Log
-from rlco.gap.logs.matching import few
 from rlco.gap.logs.tracking_checks import check_tracking
 from rlco.gap.model import LoadedModel
 

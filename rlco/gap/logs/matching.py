@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from rlco.errors import DataError, counted, suggest
-from rlco.files.reading import cut
+from rlco.files import few
 from rlco.gap.logs.names import match_names
 from rlco.gap.logs.table import Kind, Table
 from rlco.gap.model import LoadedModel
@@ -114,22 +114,6 @@ def without_strays(table: Table, model: LoadedModel | None) -> Table:
         for c, values in table.columns
     )
     return replace(table, columns=columns)
-
-
-#: Of a name in a row of them [characters].
-_NAME = 100
-
-
-def few(names: Sequence[str], most: int = 8) -> str:
-    """Return names in a row, the first few of many.
-
-    Example:
-        >>> few(["hip", "knee", "toe"], most=2)
-        'hip, knee, and 1 more'
-    """
-    listed = [cut(str(name), _NAME) for name in names[:most]]
-    more = [f"and {len(names) - most} more"] if len(names) > most else []
-    return ", ".join([*listed, *more])
 
 
 def _match_joints(stems: Sequence[str], model: LoadedModel) -> dict[str, str]:

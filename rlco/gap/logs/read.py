@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from rlco.errors import DataError, suggest
+from rlco.files import few
 from rlco.gap.logs.checks import check_log
 from rlco.gap.logs.formats.assemble import assemble
 from rlco.gap.logs.formats.bam_files import is_bam, read_bam
@@ -18,7 +19,6 @@ from rlco.gap.logs.formats.lerobot_folders import read_lerobot
 from rlco.gap.logs.formats.npz_files import read_npz
 from rlco.gap.logs.lengths import to_metres
 from rlco.gap.logs.log import Log
-from rlco.gap.logs.matching import few
 from rlco.gap.logs.table import Table
 from rlco.gap.logs.times.read_times import at_read_times
 from rlco.gap.logs.times.timing import correct_timing

@@ -9,8 +9,8 @@ import mujoco
 import numpy as np
 
 from rlco.errors import DataError
+from rlco.files import few
 from rlco.gap.logs.log import Array, Log, Recording
-from rlco.gap.logs.matching import few
 from rlco.gap.model import LoadedModel
 from rlco.physics.effects.targets import actuated_joint, command_at, is_servo
 

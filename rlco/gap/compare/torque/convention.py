@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 from scipy.optimize import nnls
 
 from rlco.errors import DataError
+from rlco.files import few
 from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.compare.torque.held_commands import effort_jumps
 from rlco.gap.compare.torque.torque_log import SIGN_SPEED, TorqueLog
 from rlco.gap.logs.log import Array, Log
-from rlco.gap.logs.matching import few
 from rlco.gap.logs.runaway import runaway
 
 _SURE = 0.8  # correlation from which a unit is inferred

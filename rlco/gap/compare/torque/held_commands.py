@@ -14,10 +14,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 
+from rlco.files import few
 from rlco.gap.compare.problem import Hypothesis
 from rlco.gap.compare.torque.torque_log import TorqueLog
 from rlco.gap.logs.log import Array, Log, Recording
-from rlco.gap.logs.matching import few
 from rlco.physics.effects.targets import actuated_joint, is_servo
 
 # Efforts are those of a servo where its law explains this part of their variance ...

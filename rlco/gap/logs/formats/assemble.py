@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from rlco.errors import DataError
+from rlco.files import few
 from rlco.gap.logs.formats.asynchronous import aligned
 from rlco.gap.logs.formats.headers import POSE, parse_header, parse_pose
 from rlco.gap.logs.formats.renames import LEFT_OUT, of_families
@@ -18,7 +19,6 @@ from rlco.gap.logs.matching import (
     Names,
     bare_positions,
     counted_from_one,
-    few,
     match_columns,
     without_strays,
 )

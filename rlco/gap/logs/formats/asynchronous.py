@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rlco.files import few
 from rlco.gap.logs.log import Array
-from rlco.gap.logs.matching import few
 from rlco.gap.logs.table import Column, Table
 
 Rows = NDArray[np.bool_]

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from rlco.errors import DataError
+from rlco.files import few
 from rlco.gap.logs.formats.headers import (
     EPISODE,
     POSE,
@@ -15,7 +16,6 @@ from rlco.gap.logs.formats.headers import (
     parse_time,
 )
 from rlco.gap.logs.log import Array
-from rlco.gap.logs.matching import few
 from rlco.gap.logs.table import Column, Table, require_finite
 from rlco.gap.model import LoadedModel
 

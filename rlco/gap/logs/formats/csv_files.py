@@ -10,12 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from rlco.errors import DataError, counted
-from rlco.files import reading, shown
+from rlco.files import few, reading, shown
 from rlco.files.texts import read_text
 from rlco.gap.logs.formats.columns import tables_of
 from rlco.gap.logs.formats.list_cells import list_columns, split_lists
 from rlco.gap.logs.log import Array
-from rlco.gap.logs.matching import few
 from rlco.gap.logs.table import Table
 from rlco.gap.model import LoadedModel
 

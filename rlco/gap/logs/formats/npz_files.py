@@ -14,14 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlco.errors import DataError, counted
-from rlco.files import reading, shown
+from rlco.files import few, reading, shown
 from rlco.files.fields import is_number
 from rlco.files.sizes import check_declared
 from rlco.files.texts import parse_json, read_text
 from rlco.gap.logs.formats.columns import tables_of
 from rlco.gap.logs.formats.headers import POSE, parse_header
 from rlco.gap.logs.log import Array
-from rlco.gap.logs.matching import few
 from rlco.gap.logs.table import Table
 from rlco.gap.model import LoadedModel
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 
 from rlco.errors import DataError, suggest
-from rlco.gap.logs.matching import few
+from rlco.files import few
 from rlco.gap.logs.table import Table
 from rlco.gap.model import LoadedModel
 

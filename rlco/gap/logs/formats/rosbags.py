@@ -28,12 +28,11 @@ from rosbags.typesys import (
 from rosbags.typesys.store import Typestore
 
 from rlco.errors import DataError
-from rlco.files import reading
+from rlco.files import few, reading
 from rlco.gap.logs.formats import bag_databases, bag_sizes
 from rlco.gap.logs.formats.headers import WORDS
 from rlco.gap.logs.formats.topics import parse_topic
 from rlco.gap.logs.log import Array
-from rlco.gap.logs.matching import few
 from rlco.gap.logs.table import Column, Kind, Table
 
 _STATES = "sensor_msgs/msg/JointState"

@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import replace
 
+from rlco.files import few
 from rlco.gap.logs.formats.topics import rank
-from rlco.gap.logs.matching import MEASURED, few
+from rlco.gap.logs.matching import MEASURED
 from rlco.gap.logs.table import Column, Kind, Table
 
 _PLURAL: dict[Kind, str] = {

@@ -31,11 +31,14 @@ def sixth_differences(time: Array, values: Array) -> tuple[Array, Array]:
         nothing = np.empty((0, values.shape[1]))
         return nothing, nothing
     times = sliding_window_view(time, ORDER + 1)
-    apart = (times[:, :, None] - times[:, None, :]) / np.median(np.diff(time))
+    apart = times[:, :, None] - times[:, None, :]
     diagonal = np.arange(ORDER + 1)
     apart[:, diagonal, diagonal] = 1.0
-    # Divided difference: f[t0..tn] = sum_i f(ti) / prod_j (ti - tj).
-    weights = 1.0 / apart.prod(axis=2)
+    # Divided difference: f[t0..tn] = sum_i f(ti) / prod_j (ti - tj). By logarithms, as
+    # the product of six times that nearly coincide may be no number's size.
+    sizes = np.log(np.abs(apart)).sum(axis=2)
+    smallest = sizes.min(axis=1, keepdims=True)
+    weights = np.sign(apart).prod(axis=2) * np.exp(smallest - sizes)
     weights /= np.linalg.norm(weights, axis=1, keepdims=True)
     windows = sliding_window_view(values, ORDER + 1, axis=0)
     high = np.einsum("ncw,nw->nc", windows, weights)
