@@ -9,7 +9,7 @@ from rlco.gap.compare.stability.instability import UNSTABLE
 from rlco.gap.compare.verdict import Verdict
 from rlco.gap.compare.wording import in_words, listed, title
 from rlco.gap.diagnose.proposals import NO_MOTION
-from rlco.gap.report.verdict_text import is_loud
+from rlco.gap.report.verdict_text import is_loud, nearest
 
 _USE = (
     "Use the corrected model: model.xml in MuJoCo, effects.yaml for training "
@@ -88,6 +88,14 @@ def next_steps(
                 "Treat it with caution: what stays unexplained is far above the noise, "
                 "see below."
             )
+    elif (near := nearest(verdict)) is not None:
+        steps.append(
+            f"If you are sure of the numbers of the model, it lacks {title(near[0])}: "
+            "write it into an effects.yaml, and check that on other recordings "
+            "(check=effects.yaml). If not, let them be fitted first (calibrate=usual)."
+        )
+        if motions:
+            steps.append(_RECORD)
     else:
         calibrated = verdict.calibrated and verdict.verdict == "no_gap"
         steps.append(_CALIBRATED if calibrated else _OTHERWISE[verdict.verdict])

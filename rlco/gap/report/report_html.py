@@ -34,6 +34,7 @@ from rlco.gap.report.verdict_text import (
     headline,
     is_loud,
     meaning,
+    nearest,
     numbers_of,
     place,
     worse,
@@ -212,10 +213,13 @@ def _effects(source: Page) -> str:
         ]
         if not rows:
             return ""
+        rejected = "Tried and rejected: none of these is the answer."
+        if nearest(verdict) is not None:
+            rejected = "The first may be the answer, which these recordings do not say."
         return (
             "<h2>The closest explanations</h2>\n"
             + html.table(["effect", "share of the error it would explain"], rows)
-            + '<p class="quiet">Tried and rejected: none of these is the answer.</p>'
+            + f'<p class="quiet">{escape(rejected)}</p>'
         )
     known = source.known or source.model
     rows = [_effect_row(finding, known) for finding in verdict.effects]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import mujoco
 
+from rlco.gap.compare.problem import Candidate
 from rlco.gap.compare.stability.instability import UNSTABLE, summary
 from rlco.gap.compare.verdict import FreeForm, HeldOut, NamedEffect, Verdict
 from rlco.gap.compare.wording import (
@@ -21,6 +22,8 @@ from rlco.gap.search.judge import LOUD
 from rlco.gap.search.verdict import DOUBT
 from rlco.physics.effects import EFFECTS, Parameter
 
+#: Share of an unexplained gap from which on the effect that explains it is told first.
+NEARLY = 0.8
 #: Each verdict in plain English.
 PLAIN_VERDICTS = {
     "no_gap": "no gap",
@@ -61,6 +64,11 @@ _MEANING_CALIBRATED = {
     "the library explains it.",
 }
 #: When a disagreement was computed.
+_MEANING_NEAREST = (
+    "There is a disagreement that one effect nearly explains. It is not named: most of "
+    "what it explains is no more than numbers of the model that are each a little off "
+    "would explain, and of what is beyond that it leaves more than half."
+)
 BEFORE_FITS = "before any fit"
 AFTER_CALIBRATION = "after the calibration"
 BESIDE_KNOWN = "beside what was known before"
@@ -71,7 +79,7 @@ def meaning(verdict: Verdict) -> str:
     kind = verdict.verdict
     if verdict.calibrated and kind in _MEANING_CALIBRATED:
         return _MEANING_CALIBRATED[kind]
-    return MEANING[kind]
+    return MEANING[kind] if nearest(verdict) is None else _MEANING_NEAREST
 
 
 def before_of(verdict: Verdict) -> str:
@@ -198,7 +206,22 @@ def headline(verdict: Verdict, where: Where | None = None) -> str:
     if verdict.verdict == "not_identifiable":
         return f"These recordings do not show what is missing: {residual} remain{at}."
     both = f"{model} and the log" if verdict.calibrated else "Model and log"
-    return f"{both} disagree by {residual}{at}, and nothing here explains it."
+    words = f"{both} disagree by {residual}{at}"
+    if (near := nearest(verdict)) is None:
+        return f"{words}, and nothing here explains it."
+    one, share = near
+    return (
+        f"{words}. {capital(title(one))} alone explains {100 * share:.0f} % of it, "
+        "but numbers of the model that are a little off would explain most of that too."
+    )
+
+
+def nearest(verdict: Verdict) -> tuple[Candidate, float] | None:
+    """Return an effect that nearly explains an unexplained gap, and its share of it."""
+    if verdict.verdict != "unexplained" or verdict.effects or not verdict.closest:
+        return None
+    one, share = verdict.closest[0]
+    return (one, share) if share >= NEARLY else None
 
 
 def _first(verdict: Verdict) -> str:

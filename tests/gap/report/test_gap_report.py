@@ -223,6 +223,20 @@ def test_each_verdict_has_its_own_words(problem: Arm, kind: str) -> None:
     assert f"{1e3 * nothing_named(problem).gap.before_heldout:.1f} mrad" in words
 
 
+def test_an_effect_that_nearly_explains_all_is_told_first(problem: Arm) -> None:
+    most = ((Candidate("joint_offset", "elbow"), 0.967),)
+    near = replace(nothing_named(problem), closest=most)
+    read = Read(html(problem, near))
+    assert "Joint offset at elbow alone explains 97 % of it, but numbers" in read.text
+    assert "The first may be the answer" in read.text
+    assert "nothing in the library" not in read.text
+    assert "it lacks joint offset at elbow" in read.text
+    # A fifth of it, as here, is no explanation.
+    read = Read(html(problem, nothing_named(problem)))
+    assert "and nothing here explains it" in read.text
+    assert "Tried and rejected" in read.text
+
+
 def test_what_a_calibration_left_is_not_said_of_the_model_as_it_is(
     problem: Arm,
 ) -> None:

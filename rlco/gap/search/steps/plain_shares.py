@@ -42,7 +42,9 @@ def plain_shares(state: State) -> State:
     for one in ranked(screenings_without_tolerance(state, at), at):
         start = start_of(subset.library, one, at.residual)
         starts.setdefault(one.candidate, start)
-    likely = list(starts.values())[:TRIED]
+    # What the search chose among all was not enough for a name, and may be the nearest.
+    chosen = {Candidate(e.name, e.target): (e,) for e in state.best.effects}
+    likely = list((chosen | dict(list(starts.items())[:TRIED])).values())
     fits = fit(subset.library, likely, subset.whiten, steps=_STEPS)
     none, plain = bare.none, dict[Candidate, float]()
     for scored in bare.setting.score([f for f in fits if f.cost < at.cost]):
