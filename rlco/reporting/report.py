@@ -92,7 +92,7 @@ def _headline(rows: Sequence[ResultRow]) -> str:
         for method in methods
     }
     main = methods.pop()
-    tasks = " and ".join(dict.fromkeys(row["task"] for row in here))
+    tasks = " and ".join(dict.fromkeys(row["task"] or "its task" for row in here))
     often = percent(rates[main].estimate)
     text = f"{main} solves {tasks} in {often} of episodes in {domain}"
     others = [f"{method} in {percent(rates[method].estimate)}" for method in methods]

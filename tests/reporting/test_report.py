@@ -206,6 +206,13 @@ def test_recipes_own_words_are_escaped(run_dir: Path) -> None:
     assert "1 & 2 <b>not bold</b>" in page.text
 
 
+def test_results_of_no_task_are_told_without_its_name(run_dir: Path) -> None:
+    results = run_dir / "results.json"
+    results.write_text(results.read_text().replace('"push_cube"', "null"))
+    text = read(write_report(run_dir)).text
+    assert "rl_co solves its task in 85 % of episodes in stand_in" in text
+
+
 def test_run_without_results_has_a_report(tmp_path: Path) -> None:
     with Run(RunOptions(out=str(tmp_path / "run")), "record_demos") as run:
         pass
