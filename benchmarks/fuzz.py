@@ -181,6 +181,11 @@ class Worker:
         self._start()
         return outcome, ""
 
+    def close(self) -> None:
+        """End the process."""
+        self._ours.send(None)
+        self._process.join()
+
 
 def main() -> None:
     given = dict(argument.split("=", 1) for argument in sys.argv[1:])
@@ -205,6 +210,7 @@ def main() -> None:
                         flush=True,
                     )
             seed += 1
+    worker.close()
     kinds = ["refused", "read"]
     kinds += sorted({kind for c in counts.values() for kind in c} - set(kinds))
     print(f"\n| reader | inputs | {' | '.join(kinds)} |")

@@ -15,9 +15,12 @@ from rlco.gap.logs.times.sixth_differences import sixth_differences
 
 _LONGEST = 3  # rows in a row that may all be a tick off
 _BESIDE = 2  # neighbours on each side that say where rows belong
+_REACH = _LONGEST + 2 * _BESIDE  # rows between runs that share no neighbour
 _WITHIN = 8.0  # ticks in which a motion is smooth
 _OFF = 6.0  # deviations of the noise by which a row is plainly not of its tick
 _SHARE = 0.3  # ... of which this much may be left at another tick that is free
+
+Rows = tuple[int, ...]
 
 
 def misplaced_rows(ticks: Array, values: Array) -> NDArray[np.bool_]:
@@ -40,24 +43,56 @@ def misplaced_rows(ticks: Array, values: Array) -> NDArray[np.bool_]:
     noise = np.median(np.abs(high), axis=0) / 0.6745 if len(high) else np.zeros(1)
     if not (noise > 0).all():
         return found
-    kept = np.arange(len(ticks))
-    while (run := _worst(ticks[kept], values[kept], noise)) is not None:
-        found[kept[run]] = True
-        kept = np.delete(kept, run)
+    kept, known = np.arange(len(ticks)), dict[Rows, float]()
+    while runs := _worst(ticks, values, kept, noise, known):
+        rows = np.concatenate([np.arange(run.start, run.stop) for run in runs])
+        found[kept[rows]] = True
+        kept = np.delete(kept, rows)
     return found
 
 
-def _worst(ticks: Array, values: Array, noise: Array) -> slice | None:
-    """Return the run that is plainly off by most, of the shortest; None for none.
+def _worst(
+    ticks: Array,
+    values: Array,
+    kept: NDArray[np.intp],
+    noise: Array,
+    known: dict[Rows, float],
+) -> list[slice]:
+    """Return the runs of kept rows that are plainly off by most, of the shortest.
 
-    A single row that is off makes those beside it seem so, which are more.
+    A single row that is off makes those beside it seem so, which are more. So of runs
+    that share neighbours only the worst is among them.
+
+    Args:
+        ticks: As in `misplaced_rows`.
+        values: As in `misplaced_rows`.
+        kept: The rows that are left, (K,).
+        noise: Of each column, (joints,).
+        known: By how much runs are off, by the rows that say so; others are added.
     """
+    left, measured = ticks[kept], values[kept]
     for size in range(1, _LONGEST + 1):
-        runs = _runs(ticks, size)
-        off = [_wrong(ticks, values, run, noise) for run in runs]
-        if max(off, default=0.0) >= _OFF:
-            return runs[int(np.argmax(off))]
-    return None
+        runs = _runs(left, size)
+        off = np.zeros(len(runs))
+        for number, run in enumerate(runs):
+            # The rows that matter for it: the same once more, where none of them went.
+            rows = kept[max(run.start - 2 * _BESIDE, 0) : run.stop + _BESIDE]
+            key = size, run.stop == len(left), *rows.tolist()
+            if key not in known:
+                known[key] = _wrong(left, measured, run, noise)
+            off[number] = known[key]
+        near = np.zeros(len(left), dtype=np.bool_)
+        chosen = []
+        for number in np.argsort(-off, kind="stable").tolist():
+            if off[number] < _OFF:
+                break
+            run = runs[number]
+            if not near[run].any():
+                chosen.append(run)
+            near[max(run.start - _REACH, 0) : run.stop + _REACH] = True
+        if chosen:
+            return chosen
+    return []
 
 
 def _runs(ticks: Array, size: int) -> list[slice]:
@@ -78,7 +113,8 @@ def _wrong(ticks: Array, values: Array, run: slice, noise: Array) -> float:
     near = np.r_[first - _BESIDE : first, end : end + _BESIDE]
     if end == len(ticks):
         near = np.arange(first - 2 * _BESIDE, first)
-    if ticks[near[-1]] - ticks[near[0]] > _WITHIN:
+    # Damaged stamps need not rise, and the last may be any time after.
+    if np.ptp(ticks[near[0] : max(near[-1] + 1, end)]) > _WITHIN:
         return 0.0
     earlier = int(ticks[first] - ticks[first - 1]) - 1
     # The last row may be of the tick after, too.

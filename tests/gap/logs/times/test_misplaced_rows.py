@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from rlco.gap.logs.times import misplaced_rows as module
 from rlco.gap.logs.times.misplaced_rows import misplaced_rows
 
 
@@ -46,3 +47,38 @@ def test_a_last_row_of_the_tick_after_is_found_though_nothing_follows_it() -> No
     assert found(ticks, path) == []
     ticks[-1] -= 1.0
     assert found(ticks, path) == [len(ticks) - 1]
+
+
+@pytest.mark.parametrize("place", [20, -1])
+def test_a_stamp_of_another_age_is_compared_with_no_tick_between(
+    place: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    compared: list[float] = []
+    off = module._off
+
+    def noted(tick: float, *more: np.ndarray) -> float:
+        compared.append(tick)
+        return off(tick, *more)
+
+    monkeypatch.setattr(module, "_off", noted)
+    ticks, path = logged(30)
+    ticks[place] = 1e5
+    assert (len(ticks) - 1 if place < 0 else place) not in found(ticks, path)
+    assert len(compared) < 1000
+
+
+def test_runs_far_apart_are_found_as_each_is_alone() -> None:
+    lost = np.arange(20, 300, 20)
+    ticks = np.delete(np.arange(320.0), lost)
+    path = np.sin(0.1 * ticks[:, None] * [1.0, 2.0])
+    path += np.random.default_rng(0).normal(0.0, 1e-3, path.shape)
+    firsts = np.searchsorted(ticks, lost)
+    moved, each = ticks.copy(), []
+    for number, first in enumerate(firsts):
+        run = slice(first, first + 1 + number % 3)
+        moved[run] -= 1.0
+        alone = ticks.copy()
+        alone[run] -= 1.0
+        each += found(alone, path)
+    assert len(each) == sum(1 + number % 3 for number in range(len(firsts)))
+    assert found(moved, path) == each
