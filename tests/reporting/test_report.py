@@ -206,7 +206,7 @@ def test_recipes_own_words_are_escaped(run_dir: Path) -> None:
     assert "1 & 2 <b>not bold</b>" in page.text
 
 
-def test_results_of_no_task_are_told_without_its_name(run_dir: Path) -> None:
+def test_results_of_no_task_are_reported_without_its_name(run_dir: Path) -> None:
     results = run_dir / "results.json"
     results.write_text(results.read_text().replace('"push_cube"', "null"))
     text = read(write_report(run_dir)).text

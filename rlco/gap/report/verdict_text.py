@@ -22,7 +22,7 @@ from rlco.gap.search.judge import LOUD
 from rlco.gap.search.verdict import DOUBT
 from rlco.physics.effects import EFFECTS, Parameter
 
-#: Share of an unexplained gap from which on the effect that explains it is told first.
+#: Share of an unexplained gap from which on the effect that explains it is reported.
 NEARLY = 0.8
 #: Each verdict in plain English.
 PLAIN_VERDICTS = {
@@ -206,12 +206,12 @@ def headline(verdict: Verdict, where: Where | None = None) -> str:
     if verdict.verdict == "not_identifiable":
         return f"These recordings do not show what is missing: {residual} remain{at}."
     both = f"{model} and the log" if verdict.calibrated else "Model and log"
-    words = f"{both} disagree by {residual}{at}"
+    gap = f"{both} disagree by {residual}{at}"
     if (near := nearest(verdict)) is None:
-        return f"{words}, and nothing here explains it."
+        return f"{gap}, and nothing here explains it."
     one, share = near
     return (
-        f"{words}. {capital(title(one))} alone explains {100 * share:.0f} % of it, "
+        f"{gap}. {capital(title(one))} alone explains {100 * share:.0f} % of it, "
         "but numbers of the model that are a little off would explain most of that too."
     )
 

@@ -100,7 +100,7 @@ def stop(process: subprocess.Popen[bytes]) -> Ended:
 
 
 def interrupt(number: int) -> Ended:
-    """Interrupt a child as Ctrl-C does; kill it if that does not help."""
+    """Interrupt a process of this one as Ctrl-C does; kill it if that does not help."""
     os.kill(number, signal.SIGINT)
     asked = time.monotonic()
     while (ended := take_in(number)) is None:
@@ -111,7 +111,7 @@ def interrupt(number: int) -> Ended:
 
 
 def take_in(number: int) -> Ended | None:
-    """Return how a child ended; None while it runs."""
+    """Return how a process of this one ended; None while it runs."""
     done, status, usage = os.wait4(number, os.WNOHANG)
     if not done:
         return None

@@ -223,7 +223,7 @@ def test_each_verdict_has_its_own_words(problem: Arm, kind: str) -> None:
     assert f"{1e3 * nothing_named(problem).gap.before_heldout:.1f} mrad" in words
 
 
-def test_an_effect_that_nearly_explains_all_is_told_first(problem: Arm) -> None:
+def test_an_effect_that_nearly_explains_all_is_reported_first(problem: Arm) -> None:
     most = ((Candidate("joint_offset", "elbow"), 0.967),)
     near = replace(nothing_named(problem), closest=most)
     read = Read(html(problem, near))

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 
 class SameArrays:
-    """Copies of arrays, equal to others of the same shapes and bytes.
+    """Arrays of one's own, equal to others of the same shapes and bytes.
 
     The meshes and textures of a robot are the same in all its scenes.
 
@@ -18,6 +18,8 @@ class SameArrays:
         >>> SameArrays(np.zeros(3)) == SameArrays(np.zeros(3))
         True
         >>> SameArrays(np.zeros(3)) == SameArrays(np.zeros((3, 1)))
+        False
+        >>> SameArrays(np.zeros(3)) == SameArrays(np.ones(3))
         False
     """
 

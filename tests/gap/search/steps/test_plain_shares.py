@@ -9,6 +9,7 @@ from hidden_arms import TWO_LINKS, record
 
 from rlco.gap.compare.arm.rollouts import ArmRollouts
 from rlco.gap.search.find_gap import additions
+from rlco.gap.search.steps import plain_shares as module
 from rlco.gap.search.steps.closing import residual
 from rlco.gap.search.steps.plain_shares import plain_shares
 from rlco.gap.search.steps.start import start
@@ -28,7 +29,9 @@ def _weak(model: mujoco.MjModel) -> None:
 
 
 @pytest.mark.thorough
-def test_what_explains_half_of_an_unexplained_gap_is_the_first_of_the_closest() -> None:
+def test_what_explains_half_of_an_unexplained_gap_is_the_first_of_the_closest(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     problem = ArmRollouts(
         mujoco.MjSpec.from_string(TWO_LINKS), record(_weak, _ripple), np.full(2, 4e-4)
     )
@@ -42,3 +45,11 @@ def test_what_explains_half_of_an_unexplained_gap_is_the_first_of_the_closest() 
     # What the tolerance of all parameters together hides is ranked by itself.
     shares = [share for _, share in verdict.closest]
     assert shares == sorted(shares, reverse=True)
+    # What the search had chosen is fitted wherever a screening ranks it.
+    assert ("actuator_gain", "elbow") in [
+        (e.name, e.target) for e in state.best.effects
+    ]
+    monkeypatch.setattr(module, "TRIED", 0)
+    first, share = conclude(residual(plain_shares(state))).closest[0]
+    assert (first.name, first.target) == ("actuator_gain", "elbow")
+    assert share > 0.9
