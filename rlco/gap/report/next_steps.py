@@ -90,9 +90,9 @@ def next_steps(
             )
     elif (near := nearest(verdict)) is not None:
         steps.append(
-            f"If you are sure of the numbers of the model, it lacks {title(near[0])}: "
-            "write it into an effects.yaml, and check that on other recordings "
-            "(check=effects.yaml). If not, let them be fitted first (calibrate=usual)."
+            "If you are sure of the numbers of the model, run this again with less "
+            f"tolerance (spread=0.003): it says how large {title(near[0])} is. If you "
+            "are not, let them be fitted first (calibrate=usual)."
         )
         if motions:
             steps.append(_RECORD)

@@ -154,6 +154,8 @@ def _kicker(verdict: Verdict) -> str:
     plain = PLAIN_VERDICTS.get(verdict.verdict, in_words(verdict.verdict))
     if verdict.since_reference and verdict.verdict == "named":
         plain = "a change found"
+    if nearest(verdict) is not None:
+        plain = "a gap that one effect nearly explains"
     words = escape(plain)
     return f'<p class="kicker">rlco · find_gap · {words}</p>'
 

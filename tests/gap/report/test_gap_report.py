@@ -230,7 +230,9 @@ def test_an_effect_that_nearly_explains_all_is_reported_first(problem: Arm) -> N
     assert "Joint offset at elbow alone explains 97 % of it, but numbers" in read.text
     assert "The first may be the answer" in read.text
     assert "nothing in the library" not in read.text
-    assert "it lacks joint offset at elbow" in read.text
+    assert "(spread=0.003): it says how large joint offset at elbow is" in read.text
+    assert "a gap that one effect nearly explains" in read.text
+    assert "a gap that nothing explains" not in read.text
     # A fifth of it, as here, is no explanation.
     read = Read(html(problem, nothing_named(problem)))
     assert "and nothing here explains it" in read.text
