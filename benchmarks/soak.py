@@ -2,6 +2,7 @@
 
     OMP_NUM_THREADS=1 uv run benchmarks/soak.py minutes=480 out=docs/figures
     OMP_NUM_THREADS=1 uv run benchmarks/soak.py frames=2000000 num_envs=32
+    OMP_NUM_THREADS=1 uv run benchmarks/soak.py task=planar frames=12500000
 
 The recipe rl_co runs as its users run it: rollouts, updates, tables, TensorBoard and a
 checkpoint after each, evaluations now and then. After each iteration this process and
@@ -9,6 +10,9 @@ its run folder are measured. The first fifth, in which caches fill, is not judge
 the rest the slope of the memory is shown with its interval, and threads and handles
 must stay. `FOLDER/soak.csv` holds every measurement, `FOLDER/soak.png` shows them; the
 status is 1 if something grew.
+
+With task=planar it is the task of benchmarks/planar, whose frames cost a hundredth:
+all that training does, for many more frames, without MuJoCo (`FOLDER/soak_planar.*`).
 """
 
 from __future__ import annotations
@@ -35,6 +39,8 @@ NAMES = ("frames", "minutes", "memory_mb", "threads", "handles", "folder_mb", "f
 WARM = 0.2
 #: What the memory may grow by in eight hours' frames [MB].
 MOST = 100.0
+#: Frames of rl_co on push_cube in eight hours of two AMD EPYC cores, in millions.
+PUSH_CUBE = 12.5
 _MB = 2**20
 
 
@@ -55,35 +61,19 @@ def measured(frames: int, began: float, folder: Path) -> dict[str, float]:
 
 def train(place: Path, given: dict[str, str]) -> list[dict[str, float]]:
     """Train until as many minutes or frames are over; return the measurements."""
-    sys.path.insert(0, str(RECIPES))
-
-    def start(recipe: str, *options: str) -> None:
-        module: Any = importlib.import_module(recipe)
-        run_recipe(module.main, module.Config, options)
-
-    real = place / "real"
-    start("record_demos", "domain=stand_in", "episodes=2", f"out={real}")
-    first = ("sim_ratio=0", "updates=200", "eval_episodes=0", f"out={place / 'sft'}")
-    start("sft", f"real_demos={real}", *first)
-    minutes, frames = (float(given.get(n, "inf")) for n in ("minutes", "frames"))
+    sys.path[:0] = [str(RECIPES), str(RECIPES.parent / "benchmarks")]
+    minutes, frames = (float(given.pop(n, "inf")) for n in ("minutes", "frames"))
     if min(minutes, frames) == np.inf:
         minutes = 480.0
+    make = planar_before if given.pop("task", "") == "planar" else push_cube_before
+    training = [*make(place), "iterations=10000000", "eval_every=50"]
     rows: list[dict[str, float]] = []
     run, over = place / "run", threading.Event()
     watched = threading.Thread(target=watch, args=(run, rows, minutes, frames, over))
     watched.start()
-    options = [f"{k}={v}" for k, v in given.items() if k not in ("minutes", "frames")]
+    options = [f"{k}={v}" for k, v in given.items()]
     try:
-        start(
-            "rl_co",
-            f"policy={place / 'sft' / 'policy'}",
-            f"real_demos={real}",
-            "iterations=10000000",
-            "eval_every=50",
-            "eval_episodes=8",
-            *options,
-            f"out={run}",
-        )
+        start(*training, "eval_episodes=8", *options, f"out={run}")
     except SystemExit as end:
         if end.code != 128 + signal.SIGINT:  # that is `watch`
             raise
@@ -91,6 +81,29 @@ def train(place: Path, given: dict[str, str]) -> list[dict[str, float]]:
         over.set()
         watched.join()
     return rows
+
+
+def start(recipe: str, *options: str) -> None:
+    """Run a recipe in this process."""
+    module: Any = importlib.import_module(recipe)
+    run_recipe(module.main, module.Config, list(options))
+
+
+def push_cube_before(place: Path) -> list[str]:
+    """Record and imitate; return the recipe that comes after, and its options."""
+    real, sft = place / "real", place / "sft"
+    start("record_demos", "domain=stand_in", "episodes=2", f"out={real}")
+    small = ("sim_ratio=0", "updates=200", "eval_episodes=0")
+    start("sft", f"real_demos={real}", *small, f"out={sft}")
+    return ["rl_co", f"policy={sft / 'policy'}", f"real_demos={real}"]
+
+
+def planar_before(place: Path) -> list[str]:
+    """Imitate on the plane; return the recipe that comes after, and its options."""
+    one = place / "one"
+    start("planar_push", "stage=one", "updates=200", "eval_episodes=8", f"out={one}")
+    policy = one / "stages" / "sft" / "policy"
+    return ["planar_push", "stage=two", f"policy={policy}"]
 
 
 def watch(
@@ -138,7 +151,7 @@ def slope(rows: list[dict[str, float]], name: str) -> tuple[float, float]:
     return float(fit[0]), float(2.31 * np.sqrt(covariance[0, 0]))  # t, 8 of freedom
 
 
-def draw(rows: list[dict[str, float]], judged: int, path: Path) -> None:
+def draw(rows: list[dict[str, float]], judged: int, path: Path, trained: str) -> None:
     """Draw memory, threads and handles over the frames."""
     from rlco.reporting.plot_style import caption, new_figure, save_figure
 
@@ -151,23 +164,28 @@ def draw(rows: list[dict[str, float]], judged: int, path: Path) -> None:
         right.plot(frames, [row[name] for row in rows], label=name)
     right.set(xlabel="million frames", ylim=(0, None))
     right.legend(frameon=False)
-    caption(
-        figure, f"rl_co, push_cube, {len(rows)} iterations; judged from the line on"
-    )
+    caption(figure, f"{trained}, {len(rows)} iterations; judged from the line on")
     save_figure(figure, path)
 
 
 def main() -> None:
     given = dict(argument.split("=", 1) for argument in sys.argv[1:])
     out = Path(given.pop("out", "."))
+    name, trained = "soak", "rl_co, push_cube"
+    if (task := given.get("task", "push_cube")) == "planar":
+        name, trained = "soak_planar", "stage two, planar task"
+    elif task == "push_cube":
+        given.pop("task", None)
+    else:
+        sys.exit(f"task={task}: choose one of push_cube, planar.")
     with tempfile.TemporaryDirectory() as place:
         rows = train(Path(place), given)
-    with (out / "soak.csv").open("w", encoding="utf-8", newline="") as file:
+    with (out / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, NAMES)
         writer.writeheader()
         writer.writerows(rows)
     judged = int(WARM * len(rows))
-    draw(rows, judged, out / "soak.png")
+    draw(rows, judged, out / f"{name}.png", trained)
     rest = rows[judged:]
     print(f"{len(rows)} iterations, {rows[-1]['frames']:.0f} frames, ", end="")
     print(f"{rows[-1]['minutes']:.0f} minutes; of the last four fifths:\n")
@@ -184,7 +202,10 @@ def main() -> None:
             grew |= max(values) > max(values[: len(values) // 2])
     rate, unsure = slope(rest, "memory_mb")
     eight_hours = 480 / rows[-1]["minutes"] * rows[-1]["frames"] / 1e6
-    print(f"\nEight hours at this pace are {eight_hours:.1f} million frames: ", end="")
+    pace = "at this pace"
+    if task == "planar":
+        eight_hours, pace = PUSH_CUBE, "of push_cube"
+    print(f"\nEight hours {pace} are {eight_hours:.1f} million frames: ", end="")
     print(f"{rate * eight_hours:+.0f} ± {unsure * eight_hours:.0f} MB.")
     grew |= (rate - unsure) * eight_hours > MOST
     sys.exit(int(grew))
