@@ -351,13 +351,14 @@ def kill_and_go_on(case: Case, place: Path, kills: int, draw: random.Random) -> 
     counts["seconds"] = round(lasted)
     counts["processor"] = round(spent() - before)
     while counts["killed"] < kills:
-        process = start(case.recipe, begin, log)
+        process, began = start(case.recipe, begin, log), time.monotonic()
         part = (counts["killed"] + draw.random()) / kills  # spread over all of it
         if ended(process, part * lasted) is None:
             process.kill()
             process.join()
             counts["killed"] += 1
-        else:  # faster than the first time: it is none of the kills
+        else:  # faster than the last that was left alone: it is none of the kills
+            lasted = time.monotonic() - began
             shutil.rmtree(out, ignore_errors=True)
             continue
         if case.goes_on == "anew":
