@@ -25,7 +25,10 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import suppress
 from pathlib import Path
+from stat import S_ISREG
 from typing import Any
 
 import numpy as np
@@ -47,16 +50,25 @@ _MB = 2**20
 def measured(frames: int, began: float, folder: Path) -> dict[str, float]:
     """Return what this process holds now, and its run's folder."""
     pages = int(Path("/proc/self/statm").read_text("utf-8").split()[1])
-    files = [path for path in folder.rglob("*") if path.is_file()]
+    sizes = list(sizes_in(folder))
     return {
         "frames": frames,
         "minutes": round((time.monotonic() - began) / 60, 3),
         "memory_mb": round(pages * os.sysconf("SC_PAGE_SIZE") / _MB, 2),
         "threads": len(os.listdir("/proc/self/task")),
         "handles": len(os.listdir("/proc/self/fd")),
-        "folder_mb": round(sum(path.stat().st_size for path in files) / _MB, 2),
-        "files": len(files),
+        "folder_mb": round(sum(sizes) / _MB, 2),
+        "files": len(sizes),
     }
+
+
+def sizes_in(folder: Path) -> Iterator[int]:
+    """Yield the size of each file, but of those that training takes away meanwhile."""
+    for path in folder.rglob("*"):
+        with suppress(FileNotFoundError):
+            found = path.stat()
+            if S_ISREG(found.st_mode):
+                yield found.st_size
 
 
 def train(place: Path, given: dict[str, str]) -> list[dict[str, float]]:
@@ -115,15 +127,18 @@ def watch(
 ) -> None:
     """Measure after each checkpoint; end the training as Ctrl-C does."""
     began, last = time.monotonic(), -1
-    while not over.wait(0.05):
-        newest = max(checkpoint_files(run / "checkpoints"), default=-1)
-        if newest == last:
-            continue
-        last = newest
-        rows.append(measured(_frames(run / "metrics.csv"), began, run))
-        if rows[-1]["minutes"] >= minutes or rows[-1]["frames"] >= frames:
+    try:
+        while not over.wait(0.05):
+            newest = max(checkpoint_files(run / "checkpoints"), default=-1)
+            if newest == last:
+                continue
+            last = newest
+            rows.append(measured(_frames(run / "metrics.csv"), began, run))
+            if rows[-1]["minutes"] >= minutes or rows[-1]["frames"] >= frames:
+                return
+    finally:  # a training that nobody watches is of no use either
+        if not over.is_set():
             os.kill(os.getpid(), signal.SIGINT)
-            return
 
 
 def _frames(table: Path) -> int:
