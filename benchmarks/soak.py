@@ -11,7 +11,7 @@ the rest the slope of the memory is shown with its interval, and threads and han
 must stay. `FOLDER/soak.csv` holds every measurement, `FOLDER/soak.png` shows them; the
 status is 1 if something grew.
 
-With task=planar it is the task of benchmarks/planar, whose frames cost a hundredth:
+With task=planar it is the task of benchmarks/planar, whose frames cost a twentieth:
 all that training does, for many more frames, without MuJoCo (`FOLDER/soak_planar.*`).
 """
 
