@@ -2,7 +2,7 @@
 
     OMP_NUM_THREADS=1 uv run benchmarks/soak.py minutes=480 out=docs/figures
     OMP_NUM_THREADS=1 uv run benchmarks/soak.py frames=2000000 num_envs=32
-    OMP_NUM_THREADS=1 uv run benchmarks/soak.py task=planar frames=12500000
+    OMP_NUM_THREADS=1 uv run benchmarks/soak.py task=planar frames=13000000
 
 The recipe rl_co runs as its users run it: rollouts, updates, tables, TensorBoard and a
 checkpoint after each, evaluations now and then. After each iteration this process and
@@ -25,8 +25,9 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from stat import S_ISREG
 from typing import Any
@@ -42,8 +43,6 @@ NAMES = ("frames", "minutes", "memory_mb", "threads", "handles", "folder_mb", "f
 WARM = 0.2
 #: What the memory may grow by in eight hours' frames [MB].
 MOST = 100.0
-#: Frames of rl_co on push_cube in eight hours of two AMD EPYC cores, in millions.
-PUSH_CUBE = 12.5
 _MB = 2**20
 
 
@@ -71,23 +70,24 @@ def sizes_in(folder: Path) -> Iterator[int]:
                 yield found.st_size
 
 
-def train(place: Path, given: dict[str, str]) -> list[dict[str, float]]:
+def train(
+    place: Path, before: Callable[[Path], list[str]], given: dict[str, str]
+) -> list[dict[str, float]]:
     """Train until as many minutes or frames are over; return the measurements."""
-    sys.path[:0] = [str(RECIPES), str(RECIPES.parent / "benchmarks")]
+    sys.path.insert(0, str(RECIPES))
     minutes, frames = (float(given.pop(n, "inf")) for n in ("minutes", "frames"))
     if min(minutes, frames) == np.inf:
         minutes = 480.0
-    make = planar_before if given.pop("task", "") == "planar" else push_cube_before
-    training = [*make(place), "iterations=10000000", "eval_every=50"]
+    training = [*before(place), "iterations=10000000", "eval_every=50"]
+    training += ["eval_episodes=8", *(f"{k}={v}" for k, v in given.items())]
     rows: list[dict[str, float]] = []
     run, over = place / "run", threading.Event()
     watched = threading.Thread(target=watch, args=(run, rows, minutes, frames, over))
     watched.start()
-    options = [f"{k}={v}" for k, v in given.items()]
     try:
-        start(*training, "eval_episodes=8", *options, f"out={run}")
+        start(*training, f"out={run}")
     except SystemExit as end:
-        if end.code != 128 + signal.SIGINT:  # that is `watch`
+        if end.code != 128 + signal.SIGTERM:  # that is `watch`
             raise
     finally:
         over.set()
@@ -118,6 +118,31 @@ def planar_before(place: Path) -> list[str]:
     return ["planar_push", "stage=two", f"policy={policy}"]
 
 
+@dataclass(frozen=True)
+class Training:
+    """What is trained.
+
+    Attributes:
+        name: Of its files.
+        title: Of its figure.
+        before: What comes before; it returns the recipe that comes after.
+        eight_hours: Frames, in millions, that are judged; None: as many as this
+            machine does in eight hours.
+    """
+
+    name: str
+    title: str
+    before: Callable[[Path], list[str]]
+    eight_hours: float | None = None
+
+
+TRAININGS = {
+    "push_cube": Training("soak", "rl_co, push_cube", push_cube_before),
+    # As many as rl_co does on push_cube in eight hours of two AMD EPYC cores.
+    "planar": Training("soak_planar", "stage two, planar task", planar_before, 12.5),
+}
+
+
 def watch(
     run: Path,
     rows: list[dict[str, float]],
@@ -125,7 +150,10 @@ def watch(
     frames: float,
     over: threading.Event,
 ) -> None:
-    """Measure after each checkpoint; end the training as Ctrl-C does."""
+    """Measure after each checkpoint; end the training as Ctrl-C does.
+
+    By SIGTERM: shells start what runs in the background without SIGINT.
+    """
     began, last = time.monotonic(), -1
     try:
         while not over.wait(0.05):
@@ -138,7 +166,7 @@ def watch(
                 return
     finally:  # a training that nobody watches is of no use either
         if not over.is_set():
-            os.kill(os.getpid(), signal.SIGINT)
+            os.kill(os.getpid(), signal.SIGTERM)
 
 
 def _frames(table: Path) -> int:
@@ -166,7 +194,7 @@ def slope(rows: list[dict[str, float]], name: str) -> tuple[float, float]:
     return float(fit[0]), float(2.31 * np.sqrt(covariance[0, 0]))  # t, 8 of freedom
 
 
-def draw(rows: list[dict[str, float]], judged: int, path: Path, trained: str) -> None:
+def draw(rows: list[dict[str, float]], judged: int, path: Path, title: str) -> None:
     """Draw memory, threads and handles over the frames."""
     from rlco.reporting.plot_style import caption, new_figure, save_figure
 
@@ -179,28 +207,24 @@ def draw(rows: list[dict[str, float]], judged: int, path: Path, trained: str) ->
         right.plot(frames, [row[name] for row in rows], label=name)
     right.set(xlabel="million frames", ylim=(0, None))
     right.legend(frameon=False)
-    caption(figure, f"{trained}, {len(rows)} iterations; judged from the line on")
+    caption(figure, f"{title}, {len(rows)} iterations; judged from the line on")
     save_figure(figure, path)
 
 
 def main() -> None:
     given = dict(argument.split("=", 1) for argument in sys.argv[1:])
     out = Path(given.pop("out", "."))
-    name, trained = "soak", "rl_co, push_cube"
-    if (task := given.get("task", "push_cube")) == "planar":
-        name, trained = "soak_planar", "stage two, planar task"
-    elif task == "push_cube":
-        given.pop("task", None)
-    else:
-        sys.exit(f"task={task}: choose one of push_cube, planar.")
+    if (task := given.pop("task", "push_cube")) not in TRAININGS:
+        sys.exit(f"task={task}: choose one of {', '.join(TRAININGS)}.")
+    training = TRAININGS[task]
     with tempfile.TemporaryDirectory() as place:
-        rows = train(Path(place), given)
-    with (out / f"{name}.csv").open("w", encoding="utf-8", newline="") as file:
+        rows = train(Path(place), training.before, given)
+    with (out / f"{training.name}.csv").open("w", encoding="utf-8", newline="") as file:
         writer = csv.DictWriter(file, NAMES)
         writer.writeheader()
         writer.writerows(rows)
     judged = int(WARM * len(rows))
-    draw(rows, judged, out / f"{name}.png", trained)
+    draw(rows, judged, out / f"{training.name}.png", training.title)
     rest = rows[judged:]
     print(f"{len(rows)} iterations, {rows[-1]['frames']:.0f} frames, ", end="")
     print(f"{rows[-1]['minutes']:.0f} minutes; of the last four fifths:\n")
@@ -216,11 +240,9 @@ def main() -> None:
         if name in ("threads", "handles"):
             grew |= max(values) > max(values[: len(values) // 2])
     rate, unsure = slope(rest, "memory_mb")
-    eight_hours = 480 / rows[-1]["minutes"] * rows[-1]["frames"] / 1e6
-    pace = "at this pace"
-    if task == "planar":
-        eight_hours, pace = PUSH_CUBE, "of push_cube"
-    print(f"\nEight hours {pace} are {eight_hours:.1f} million frames: ", end="")
+    here = 480 / rows[-1]["minutes"] * rows[-1]["frames"] / 1e6
+    eight_hours = training.eight_hours or here
+    print(f"\nIn eight hours' frames, {eight_hours:.1f} million: ", end="")
     print(f"{rate * eight_hours:+.0f} ± {unsure * eight_hours:.0f} MB.")
     grew |= (rate - unsure) * eight_hours > MOST
     sys.exit(int(grew))
