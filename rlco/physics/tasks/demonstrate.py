@@ -135,7 +135,8 @@ def demonstrate(
                 wanted[text] -= 1
                 yield episode.demonstration
     if failed := [episode for episode in tried if not episode.demonstration.success]:
-        _logger.info("%s", _failures(task, domain, seed, tried, failed))
+        reason = _failures(task, domain, seed, tried, failed)
+        _logger.info("%s; failed episodes are not recorded", reason)
 
 
 def _check_expert(task: Task, domain: Domain, seed: int, tried: list[Episode]) -> None:

@@ -186,6 +186,17 @@ def test_demonstrations_are_the_same_again_and_end_after_success() -> None:
         assert len(demo.action) < TASK.horizon
 
 
+@pytest.mark.thorough
+def test_a_failure_now_and_then_is_said_to_be_left_out(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    with caplog.at_level("INFO", "rlco"):  # the quickstart's demonstrations
+        demos = list(demonstrate(TASK, SIM, episodes=12, seed=500_000))
+    assert all(demo.success for demo in demos)
+    (said,) = caplog.messages
+    assert "it failed in 7 of seed 500000; failed episodes are not recorded" in said
+
+
 def test_an_expert_that_fails_is_reported() -> None:
     idle = replace(
         TASK, horizon=2, expert=lambda s: np.zeros((*s.tool_position.shape[:-1], 7))
