@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rlco.files.indices import format_indices, index_list
 from rlco.run import Run, run_recipe
 from rlco.runs.config import REQUIRED, folder_name, option
+from rlco.training.options.limits import LONGEST_CHUNK
 from rlco.training.options.policy_options import PolicyOptions, group_values
 from rlco.training.options.stage_one_options import StageOneOptions
 
@@ -50,9 +51,13 @@ class Config(PolicyOptions):
         None, "camera of real_demos that is read; null: its only one"
     )
     folds: int = option(
-        4, "parts of the real demonstrations, each held out once", minimum=2
+        4,
+        "parts of the real demonstrations, each held out once; no more than they are",
+        minimum=2,
     )
-    chunk: int = option(4, "control steps of an action chunk", minimum=1)
+    chunk: int = option(
+        4, "control steps of an action chunk", minimum=1, maximum=LONGEST_CHUNK
+    )
     updates: int = option(
         300,
         "optimiser steps of each policy; after many a few demonstrations are known by "

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from rlco.run import run_recipe
-from rlco.runs.config import LAST_SEED, option
+from rlco.runs.config import LAST_SEED, distinct, none_twice, option
 
 if TYPE_CHECKING:
     from rlco.physics.tasks.expert_success import ExpertSuccess
@@ -33,9 +33,12 @@ class Config:
     domains: list[str] = option(
         ["sim", "stand_in"],
         "where it plays: names, MODULE:NAME, or paths of effects.yaml files",
+        check=distinct,
     )
     variations: list[str] = option(
-        [], "unseen variations of the task to play, too, each in the first domain"
+        [],
+        "unseen variations of the task to play, too, each in the first domain",
+        check=none_twice,
     )
     episodes: int = option(200, "episodes in each", minimum=1)
     noise: float = option(
@@ -51,7 +54,6 @@ class Config:
 
 def main(config: Config) -> None:
     """Play everywhere, and say how often it went well."""
-    from rlco.errors import ConfigError
     from rlco.physics.effects import load_code
     from rlco.physics.tasks.expert_success import expert_success
     from rlco.physics.tasks.make_task import make_task
@@ -59,8 +61,6 @@ def main(config: Config) -> None:
     from rlco.physics.tasks.variations import check_variation_images, check_variation_of
 
     load_code(config.effects_code)
-    if not config.domains:
-        raise ConfigError(["domains=[] leaves nowhere to play; give one"])
     task = make_task(config.task)
     domains = check_domains(config.task, config.domains)
     for variation in config.variations:

@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rlco.run import Run, run_recipe
-from rlco.runs.config import folder_name, option
+from rlco.runs.config import LAST_SEED, distinct, folder_name, option
+from rlco.training.options.limits import LONGEST_RECORDING, MOST_RECORDINGS
 from rlco.training.options.policy_options import KindOptions, group_values
 from rlco.training.options.stage_one_options import StageOneOptions
 
@@ -30,6 +31,7 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("rlco.close_loop")
 METHODS = ("nominal", "corrected", "oracle")
+DEMOS_SEED = 600_000  # added to seeds; far from those of evaluations
 
 
 @dataclass
@@ -47,9 +49,19 @@ class Config(KindOptions):
     hidden: str | None = option(
         None, "effects.yaml of what is hidden; null: a joint's encoder off by 3 degrees"
     )
-    seeds: list[int] = option([0, 1, 2], "one comparison each", minimum=0)
-    recordings: int = option(6, "recordings of the arm", minimum=2)
-    seconds: float = option(10.0, "length of a recording [s]", minimum=2)
+    seeds: list[int] = option(
+        [0, 1, 2],
+        "one comparison each",
+        minimum=0,
+        maximum=LAST_SEED - DEMOS_SEED,
+        check=distinct,
+    )
+    recordings: int = option(
+        6, "recordings of the arm", minimum=2, maximum=MOST_RECORDINGS
+    )
+    seconds: float = option(
+        10.0, "length of a recording [s]", minimum=2, maximum=LONGEST_RECORDING
+    )
     demos: int = option(40, "demonstrations for each policy", minimum=1)
     updates: int = option(1500, "optimiser steps for each policy", minimum=1)
     eval_episodes: int = option(128, "episodes of the comparison", minimum=1)
@@ -115,7 +127,7 @@ def train(config: Config, run: Run, method: str, seed: int, effects: str | None)
         config.simulator,
         episodes=config.demos,
         effects=effects,
-        seed=600_000 + seed,  # far from the seeds of evaluations
+        seed=DEMOS_SEED + seed,
     )
     options = stage_one(config, name=method, seed=seed, sim_demos=str(demos))
     data = load_stage_one(options)
@@ -197,7 +209,9 @@ def main(config: Config) -> None:
     """Run the loop, and write the report."""
     from rlco.evaluation import evaluation_domains
     from rlco.physics.effects import load_code
+    from rlco.physics.effects.effects_file import read_effects
     from rlco.physics.tasks.make_task import make_task
+    from rlco.physics.tasks.named_task import check_domains
     from rlco.reporting import plots
     from rlco.reporting.report import write_report
     from rlco.training.stage_one import new_policy
@@ -206,6 +220,9 @@ def main(config: Config) -> None:
     load_code(config.effects_code)
     make_task(config.task)
     (simulator,) = evaluation_domains(config.task, [config.simulator])
+    if config.hidden is not None:
+        read_effects(config.hidden)  # no domain's name
+        check_domains(config.task, [config.hidden])
     new_policy(stage_one(config))
     with Run(config, "close_loop") as run:
         hidden = run.path / "hidden.yaml"

@@ -20,9 +20,14 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from rlco.errors import ConfigError
 from rlco.run import Run, run_recipe
-from rlco.runs.config import REQUIRED, folder_name, option
+from rlco.runs.config import REQUIRED, folder_name, none_twice, option
 from rlco.training.distributed.launch import LearnersOptions
-from rlco.training.options.policy_options import LARGEST_LR
+from rlco.training.options.limits import (
+    LARGEST_LR,
+    LONGEST_EPISODE,
+    MOST_ENVS,
+    MOST_ROWS,
+)
 from rlco.training.options.training_domain_options import TrainingDomainOptions
 
 if TYPE_CHECKING:
@@ -98,14 +103,21 @@ class Config(LearnersOptions, TrainingDomainOptions):
         False, "whether imitation also averages padded dimensions, as RLinf does"
     )
     iterations: int = option(100, "rollouts", minimum=1, may_change=True)
-    num_envs: int = option(64, "episodes of a rollout", minimum=1)
+    num_envs: int = option(64, "episodes of a rollout", minimum=1, maximum=MOST_ENVS)
     horizon: int | None = option(
-        None, "control steps of a training episode; null: the task's", minimum=1
+        None,
+        "control steps of a training episode; null: the task's",
+        minimum=1,
+        maximum=LONGEST_EPISODE,
     )
     reward: Literal["shaped", "sparse"] = option("shaped", "reward of a control step")
     epochs: int = option(2, "passes over a rollout", minimum=1)
-    minibatch: int = option(40, "simulated decisions of a minibatch", minimum=1)
-    real_rows: int = option(16, "real rows of a minibatch", minimum=1)
+    minibatch: int = option(
+        40, "simulated decisions of a minibatch", minimum=1, maximum=MOST_ROWS
+    )
+    real_rows: int = option(
+        16, "real rows of a minibatch", minimum=1, maximum=MOST_ROWS
+    )
     accumulate: int = option(
         8, "minibatches whose gradients make one update", minimum=1
     )
@@ -143,6 +155,7 @@ class Config(LearnersOptions, TrainingDomainOptions):
         ["sim"],
         "domains to evaluate in: names, MODULE:NAME, or paths of effects.yaml files",
         input="file",
+        check=none_twice,
     )
 
 

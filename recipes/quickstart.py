@@ -17,7 +17,7 @@ import logging
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from rlco.errors import ConfigError, RenderingError, UnknownNameError
+from rlco.errors import RenderingError, UnknownNameError
 from rlco.run import Run, run_recipe
 from rlco.training.options.policy_options import (
     AugmentOptions,
@@ -94,14 +94,13 @@ def check(config: Config) -> tuple[dict[str, Domain], dict[str, Domain]]:
     from rlco.evaluation import evaluation_domains
     from rlco.physics.effects import load_code
     from rlco.physics.tasks.make_task import make_task
+    from rlco.physics.tasks.named_task import check_domains
     from rlco.training.stage_one import check_stage_one
     from rlco.training.stage_two import check_stage_two
 
     for method in config.methods:
         if method not in METHODS:
             raise UnknownNameError("method", method, METHODS)
-    if not config.eval_domains:
-        raise ConfigError(["eval_domains=[] leaves nowhere to compare; give one"])
     make_task(config.task)
     load_code(config.effects_code)
     domains = evaluation_domains(
@@ -110,6 +109,7 @@ def check(config: Config) -> tuple[dict[str, Domain], dict[str, Domain]]:
         train_domain=config.train_domain,
         train_sample=config.train_sample,
     )
+    check_domains(config.task, [config.real_domain])
     further = evaluation_domains(config.task, config.final_domains)
     nowhere = {"sim": "", "real": "", "heldout": ""}
     check_stage_two(stage_two(config, Path(), nowhere, "rl_co"))

@@ -16,6 +16,7 @@ from pathlib import Path
 
 from rlco.run import run_recipe
 from rlco.runs.config import LAST_SEED, REQUIRED, option
+from rlco.training.options.limits import LONGEST_RECORDING, MOST_RECORDINGS
 
 log = logging.getLogger("rlco.record_logs")
 
@@ -34,8 +35,12 @@ class Config:
         "where it moves: sim, stand_in, MODULE:NAME, or the path of an effects.yaml",
     )
     known: str = option("sim", "the domain that the model has")
-    recordings: int = option(6, "recordings of the arm", minimum=2)
-    seconds: float = option(10.0, "length of a recording [s]", minimum=4)
+    recordings: int = option(
+        6, "recordings of the arm", minimum=2, maximum=MOST_RECORDINGS
+    )
+    seconds: float = option(
+        10.0, "length of a recording [s]", minimum=4, maximum=LONGEST_RECORDING
+    )
     seed: int = option(
         0, "seed of postures, motions and noise", minimum=0, maximum=LAST_SEED
     )
@@ -47,19 +52,23 @@ class Config:
 def main(config: Config) -> None:
     """Record, then say what was recorded."""
     from rlco.errors import ConfigError
+    from rlco.files import shown
     from rlco.gap.practice_arm import record_arm, write_known_model
     from rlco.physics.effects import load_code
     from rlco.physics.spec.domain import make_domain
+    from rlco.runs.whole_files import check_new_file
 
     load_code(config.effects_code)
     known = make_domain(config.known)
-    if config.model is not None and Path(config.model).exists():
-        raise ConfigError(
-            [
-                f"model={config.model!r} exists and is not overwritten; give a file "
-                "that does not, or model=null to write none"
-            ]
-        )
+    if config.model is not None:
+        check_new_file(Path(config.model), "model")
+        if Path(config.out).absolute().is_relative_to(Path(config.model).absolute()):
+            raise ConfigError(
+                [
+                    f"model={shown(config.model)} and out={shown(config.out)} would be "
+                    "a file and a folder of one name; give another model=FILE"
+                ]
+            )
     record_arm(
         config.out,
         config.task,

@@ -10,12 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from rlco.errors import OutputExistsError, RlcoError
+from rlco.errors import RlcoError
 from rlco.gap.correct.corrected_files import corrected_xml
 from rlco.gap.model import load_model
 from rlco.physics.effects.corrected_model import Given
@@ -26,6 +27,7 @@ from rlco.physics.spec.domain import GivenDomain, make_domain
 from rlco.physics.spec.task import Array, SceneState
 from rlco.physics.tasks.make_task import make_task
 from rlco.physics.tasks.plain_robosuite import make_robosuite
+from rlco.runs.whole_files import check_new_folder, write_text
 
 RATE = 100  # rows of a recording per second
 _STEPS = 500  # physics steps per second
@@ -68,11 +70,11 @@ def record_arm(
 
     Raises:
         OutputExistsError: The folder exists.
-        RlcoError: Too few motions are free of contacts and limits.
+        RlcoError: It cannot be made, or too few motions are free of contacts and
+            limits.
     """
     folder = Path(folder)
-    if folder.exists():
-        raise OutputExistsError(folder)
+    check_new_folder(folder)
     # A torque that is read once in a longer control step is off by what damping has
     # taken since that step began; so each physics step is one.
     spec = replace(make_task(task), control_frequency=_STEPS)
@@ -174,13 +176,17 @@ def write_known_model(path: Path | str, task: str, domain: GivenDomain = "sim") 
     """Write a task's scene in a domain as MJCF, for ``find_gap`` as ``model``.
 
     Args:
-        path: The file.
+        path: The file; its folder is made.
         task: The task's name.
         domain: What is known: the effects of its model are in the file.
     """
     path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
     env = make_robosuite(task, domain=domain)
-    path.write_text(env.edit_model_xml(env.model.get_xml()))
-    loaded = load_model(path)
-    effects = in_model(env.domain.model_effects, loaded.model)
-    path.write_text(corrected_xml(loaded, effects, path.parent))
+    with TemporaryDirectory() as folder:
+        nominal = Path(folder) / path.name
+        nominal.write_text(env.edit_model_xml(env.model.get_xml()))
+        loaded = load_model(nominal)
+        effects = in_model(env.domain.model_effects, loaded.model)
+        text = corrected_xml(loaded, effects, path.parent)
+    write_text(path, text)

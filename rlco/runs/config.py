@@ -30,6 +30,7 @@ from rlco.runs.options import (
 from rlco.runs.options import REQUIRED as REQUIRED
 from rlco.runs.options import distinct as distinct
 from rlco.runs.options import folder_name as folder_name
+from rlco.runs.options import none_twice as none_twice
 from rlco.runs.options import option as option
 from rlco.runs.settings import (
     Setting,

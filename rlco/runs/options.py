@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+import os
 import shutil
 import sys
 import textwrap
@@ -21,6 +22,8 @@ from rlco.files import shown
 
 #: The default of an option that somebody must give.
 REQUIRED: str = MISSING
+#: What compiled code counts with, and so the most that a whole number can be.
+_LAST_INTEGER = 2**63 - 1
 _LONGEST_NAME = 100
 #: Defaults of other options, by the value of one.
 type Implied = Mapping[Any, Mapping[str, Any]]
@@ -87,13 +90,35 @@ def distinct(values: Any) -> str | None:
         >>> distinct(["sft"]), distinct([]), distinct(["sft", "sft"])
         (None, '[] is empty; give one or more', "['sft', 'sft'] has one of them twice")
     """
-    if isinstance(values, str):
-        return None  # a list as text, which its type refuses or reads
-    if not values:
-        return "[] is empty; give one or more"
+    return none_twice(values) if values else "[] is empty; give one or more"
+
+
+def none_twice(values: Any) -> str | None:
+    """Say that a list has a value twice; None where it has none.
+
+    Example:
+        >>> none_twice([]), none_twice(["sim", "sim"])
+        (None, "['sim', 'sim'] has one of them twice")
+    """
     if len(set(values)) < len(values):
         return f"{shown(list(values))} has one of them twice"
     return None
+
+
+def from_home(value: Any) -> Any:
+    """Return a path, or a list of them, with a leading ``~/`` as the home directory.
+
+    Not every shell does it behind ``key=``, and none in a file of options.
+
+    Example:
+        >>> from_home("~/demos") == str(Path.home() / "demos"), from_home("a~/b")
+        (True, 'a~/b')
+    """
+    if isinstance(value, list):
+        return [from_home(item) for item in value]
+    if isinstance(value, str) and value.startswith("~/"):
+        return os.path.expanduser(value)
+    return value
 
 
 def option(
@@ -209,6 +234,8 @@ class Option:
         """Say what is wrong with a value that the type alone would let through."""
         if value == REQUIRED:
             return "a value is missing"
+        if isinstance(value, str) and "\0" in value:
+            return f"{shown(value)} holds a NUL, which no name of a file may"
         choices = _choices(self.hint)
         if choices and value not in choices and value is not None:
             allowed = ", ".join(repr(choice) for choice in choices)
@@ -224,15 +251,17 @@ class Option:
         return None
 
     def out_of_range(self, value: Any) -> str | None:
-        """Say which limit a value, or a number in a list, breaks."""
-        if isinstance(value, bool) or value is None:
+        """Say which limit a value, or a number in a list, breaks; its type is right."""
+        if value is None:
             return None
         if self.check is not None and (complaint := self.check(value)):
             return complaint
-        if isinstance(value, Iterable) and not isinstance(value, str):
-            found = (self.out_of_range(item) for item in value)
-            return next((text for text in found if text), None)
-        if not isinstance(value, int | float):
+        several = isinstance(value, Iterable) and not isinstance(value, str)
+        found = (self._broken_limit(item) for item in (value if several else [value]))
+        return next((text for text in found if text), None)
+
+    def _broken_limit(self, value: Any) -> str | None:
+        if isinstance(value, bool) or not isinstance(value, int | float):
             return None
         if math.isnan(value):
             return "nan is not a number"
@@ -240,8 +269,11 @@ class Option:
             return f"{shown(value)} is not a finite number"
         if self.minimum is not None and value < self.minimum:
             return f"{shown(value)} is below the least allowed, {self.minimum!r}"
-        if self.maximum is not None and value > self.maximum:
-            return f"{shown(value)} is above the greatest allowed, {self.maximum!r}"
+        greatest = self.maximum
+        if greatest is None and isinstance(value, int):
+            greatest = _LAST_INTEGER
+        if greatest is not None and value > greatest:
+            return f"{shown(value)} is above the greatest allowed, {greatest!r}"
         return None
 
 

@@ -11,7 +11,7 @@ import yaml
 
 from rlco.errors import DataError, UnknownNameError
 from rlco.files import read_yaml, shown
-from rlco.runs.options import Option
+from rlco.runs.options import Option, from_home
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def command_line(
             except (yaml.YAMLError, ValueError):
                 problems.append(f"option {key}: {shown(text)} is not a YAML value")
                 continue
-        given[key] = Setting(key, value)
+        given[key] = Setting(key, from_home(value))
     return given
 
 
@@ -135,5 +135,5 @@ def _flatten(
         elif isinstance(value, Mapping) and key not in options:
             settings += _flatten(value, options, source, f"{key}.")
         else:
-            settings.append(Setting(key, value, source))
+            settings.append(Setting(key, from_home(value), source))
     return settings

@@ -8,12 +8,13 @@ import json
 import logging
 import os
 import shutil
+import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from rlco.errors import OutputExistsError, RlcoError
+from rlco.errors import ConfigError, OutputExistsError, RlcoError
 from rlco.files import shown
 
 log = logging.getLogger(__name__)
@@ -76,19 +77,44 @@ def check_new_folder(path: Path) -> None:
     """
     if os.path.lexists(path):
         raise OutputExistsError(path)
+    _check_can_be_made(path, "output folder", "out=DIR")
+
+
+def check_new_file(path: Path, option: str) -> None:
+    """Check that a file can be made, with its folder, before what takes long is begun.
+
+    Args:
+        path: The file.
+        option: What gives it, for messages.
+
+    Raises:
+        ConfigError: There is one, or a folder.
+        RlcoError: It cannot be made there.
+    """
+    if os.path.lexists(path):
+        raise ConfigError(
+            [
+                f"{option}={shown(str(path))} exists and is not overwritten; give a "
+                f"file that does not, or leave {option} out"
+            ]
+        )
+    _check_can_be_made(path, "file", f"{option}=FILE")
+
+
+def _check_can_be_made(path: Path, what: str, another: str) -> None:
     above = next(one for one in path.absolute().parents if os.path.lexists(one))
     try:
-        path.lstat()
-    except FileNotFoundError:
-        if os.access(above, os.W_OK | os.X_OK):
-            return
-        problem = os.strerror(errno.EACCES)
+        try:
+            path.lstat()
+        except FileNotFoundError:
+            # Rights alone say little: root has them in /proc, where nothing is made.
+            with tempfile.TemporaryFile(dir=above):
+                return
     except OSError as error:
-        problem = str(error.strerror)
-    raise RlcoError(
-        f"output folder {shown(str(path))} cannot be made ({problem}); give another "
-        "out=DIR."
-    )
+        raise RlcoError(
+            f"{what} {shown(str(path))} cannot be made ({error.strerror}); give "
+            f"another {another}."
+        ) from error
 
 
 @contextmanager

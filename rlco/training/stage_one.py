@@ -106,6 +106,7 @@ def check_stage_one(
     if problems := batch_problems(options.alpha, options.batch_size):
         raise ConfigError(problems)
     policy = new_policy(options, task)
+    policy_options.check_real_camera(options.real_camera, policy.image_size)
     if options.evaluated and options.eval_domains and options.task is not None:
         policy_options.check_rendered(policy, options.task)
     return policy

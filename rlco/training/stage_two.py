@@ -13,6 +13,7 @@ from rlco.training.options.domain_flag_options import refuse_domain_flag
 from rlco.training.options.policy_options import (
     augment,
     check_look,
+    check_real_camera,
     check_rendered,
 )
 
@@ -102,6 +103,7 @@ def load_stage_two(options: StageTwoOptions) -> tuple[ChunkPolicy, StageTwoDemos
     check_stage_two(options)
     check_rendered(policy, options.task)
     check_look(options.look, policy.image_size)
+    check_real_camera(options.real_camera, policy.image_size)
     if options.look in FINAL_DOMAINS:
         raise ConfigError(
             [

@@ -46,7 +46,8 @@ def test_what_cannot_be_played_is_refused_before_anything_is(
     for given, words in (
         (["variations=[rain]"], "unknown variation 'rain'"),
         (["variations=[lights]"], "lights changes images alone"),
-        (["domains=[]"], "domains=[] leaves nowhere to play"),
+        (["domains=[]"], "option domains: [] is empty"),
+        (["domains=[sim,sim]"], "option domains: ['sim', 'sim'] has one of them twice"),
         (["task=push_cub"], "unknown task 'push_cub'"),
     ):
         assert words in refused(capsys, "check_expert", *given)

@@ -13,6 +13,8 @@ import pytest
 from recipe_cases import refused, start
 
 import rlco.gap
+from rlco.gap.model import load_model
+from rlco.gap.practice_arm import write_known_model
 from rlco.physics.effects import EFFECTS, AppliedEffect
 from rlco.physics.effects.effects_file import read_effects, write_effects
 
@@ -139,3 +141,60 @@ def test_a_model_that_exists_is_not_overwritten(
     assert "exists and is not overwritten" in line
     assert model.read_text() == "mine"
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (["out=/proc/logs"], "output folder '/proc/logs' cannot be made"),
+        (["model=/proc/arm.xml"], "file '/proc/arm.xml' cannot be made"),
+        (["model=file/arm.xml"], "'file/arm.xml' cannot be made (Not a directory)"),
+        (["model=logs"], "model='logs' and out='logs/1' would be a file and a folder"),
+        (["seconds=1e300"], "option seconds: 1e+300 is above the greatest"),
+        (["recordings=101"], "option recordings: 101 is above the greatest"),
+    ],
+)
+def test_what_cannot_be_written_is_told_before_anything_is_recorded(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    given: list[str],
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("file").touch()
+    out = [] if given[0].startswith("out=") else ["out=logs/1"]
+    assert words in refused(capsys, "record_logs", *out, *given)
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        ("hidden=no.yaml", "file 'no.yaml' is missing"),
+        ("hidden=other.yaml", "unknown target of an effect 'no_such_joint'"),
+        ("seeds=[]", "option seeds: [] is empty"),
+        ("seeds=[0,0]", "option seeds: [0, 0] has one of them twice"),
+    ],
+)
+def test_what_cannot_be_hidden_is_told_before_a_folder_is_made(
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    given: str,
+    words: str,
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    elsewhere = AppliedEffect("joint_offset", "no_such_joint", {"offset": 0.05})
+    write_effects(Path("other.yaml"), [elsewhere])
+    assert words in refused(capsys, "close_loop", *TINY[1:], "out=loop", given)
+    assert not Path("loop").exists()
+
+
+def test_a_known_model_makes_its_folder_and_leaves_nothing_beside_it(
+    tmp_path: Path,
+) -> None:
+    model = tmp_path / "models" / "arm.xml"
+    write_known_model(model, "push_cube")
+    assert [path.name for path in model.parent.iterdir()] == ["arm.xml"]
+    assert load_model(model).model.nu == 9

@@ -70,6 +70,31 @@ def test_an_unknown_option_or_name(
 
 
 @pytest.mark.parametrize(
+    ("recipe", "arguments", "words"),
+    [
+        ("sft", "hidden=[16384,16384,16384]", "would have 536,870,912 weights"),
+        ("sft", "policy=token token.bins=1000000000", "greatest allowed, 65536"),
+        ("sft", "policy=token token.layers=100000", "greatest allowed, 32"),
+        ("sft", "policy=flow flow.steps=1000000000", "greatest allowed, 1000"),
+        ("sft", f"batch_size={10**23}", "greatest allowed, 1000000"),
+        ("sft", f"updates={10**30}", f"greatest allowed, {2**63 - 1}"),
+        ("sft", "eval_domains=[sim,sim]", "has one of them twice"),
+        ("rl_co", "num_envs=1000000000", "greatest allowed, 65536"),
+        ("rl_co", "minibatch=100000000000000", "greatest allowed, 1000000"),
+        ("rl_co", "horizon=1000000000", "greatest allowed, 100000"),
+        ("quickstart", "eval_domains=[]", "[] is empty; give one or more"),
+        ("quickstart", "real_domain=standin", "did you mean 'stand_in'"),
+    ],
+)
+def test_what_no_machine_could_train_is_refused(
+    capsys: Capture, tmp_path: Path, recipe: str, arguments: str, words: str
+) -> None:
+    out = tmp_path / "out"
+    assert words in refused(capsys, recipe, *arguments.split(), f"out={out}")
+    assert not out.exists()
+
+
+@pytest.mark.parametrize(
     ("code", "said"),
     [
         ("1 / 0", "ZeroDivisionError (division by zero) in line 1"),
@@ -229,8 +254,13 @@ def test_a_data_set_that_the_options_need(
     out = f"out={tmp_path / 'out'}"
     line = refused(capsys, "sft", f"real_demos={assets.real}", out)
     assert "sim_ratio=0.5 needs sim_demos=FOLDER" in line
-    line = refused(capsys, "rl_co", f"policy={assets.sft / 'policy'}", out)
+    policy = f"policy={assets.sft / 'policy'}"
+    line = refused(capsys, "rl_co", policy, out)
     assert "needs real_demos=FOLDER" in line
+    for given in (("sft", "sim_ratio=0"), ("rl_co", policy)):
+        demos = f"real_demos={assets.real}"
+        line = refused(capsys, *given, demos, "real_camera=front", out)
+        assert "real_camera='front' names images, but the policy reads none" in line
     assert not (tmp_path / "out").exists()
 
 

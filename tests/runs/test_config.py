@@ -106,6 +106,15 @@ def test_all_problems_come_at_once_and_name_what_is_allowed(recipe: Path) -> Non
         ("norm=-inf", "option norm: -inf is below the least allowed, 0"),
         ("ppo.epochs=65", "option ppo.epochs: 65 is above the greatest allowed, 64"),
         ("seed=" + 5000 * "1", f"option seed: {shown(5000 * '1')} is not a YAML value"),
+        (
+            f"sizes=[{2**63}]",
+            "option sizes: 9223372036854775808 is above the greatest allowed, "
+            "9223372036854775807",
+        ),
+        (
+            "data=a\0b",
+            r"option data: 'a\x00b' holds a NUL, which no name of a file may",
+        ),
         ("data=${dta}", "option data: '${dta}' refers to an option that is not set"),
         (
             "config=debg",
@@ -116,6 +125,17 @@ def test_all_problems_come_at_once_and_name_what_is_allowed(recipe: Path) -> Non
 def test_wrong_argument_is_named(recipe: Path, argument: str, problem: str) -> None:
     given = [] if argument.startswith(("data=", "config=")) else ["data=x"]
     assert problems(recipe, *given, *argument.split()) == (problem,)
+
+
+def test_a_path_may_begin_at_home(
+    recipe: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", "/home/ada")
+    file = recipe.with_suffix("") / "home.yaml"
+    file.write_text("data: ~/demos\n")
+    assert parse(Config, ["data=~/demos"], recipe).data == "/home/ada/demos"
+    assert parse(Config, [f"config={file}"], recipe).data == "/home/ada/demos"
+    assert parse(Config, ["data=x~/demos"], recipe).data == "x~/demos"
 
 
 def test_an_option_may_be_declared_to_take_infinity(recipe: Path) -> None:

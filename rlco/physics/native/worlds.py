@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rlco.errors import RlcoError
+from rlco.files.sizes import check_held
 from rlco.physics.mj.libmujoco import address_of
 from rlco.physics.mj.model_struct import ModelCopy, array_fields, reserve_memory
 from rlco.physics.native.processors import available_processors
@@ -46,7 +47,7 @@ class Worlds:
         drawn: Parameter sets that `draw` may give to a world; None: none.
 
     Raises:
-        RlcoError: If `threads` is less than 1.
+        RlcoError: If `threads` is less than 1, or the memory too small for so many.
     """
 
     def __init__(
@@ -65,6 +66,11 @@ class Worlds:
         self.control = control
         self.num_envs = num_envs
         self.model = _own(model)
+        check_held(
+            num_envs * mujoco.MjData(self.model).nbuffer,
+            f"num_envs={num_envs} states of this model",
+            "give fewer",
+        )
         self.data = [mujoco.MjData(self.model) for _ in range(num_envs)]
         fields = observed = _addresses(self.data)
         self.observed = self.data

@@ -6,14 +6,13 @@ from dataclasses import asdict, dataclass, field, fields
 from typing import TYPE_CHECKING, Any, Literal
 
 from rlco.errors import ConfigError, RlcoError
+from rlco.files import shown
 from rlco.runs.config import RunOptions, option
 
 if TYPE_CHECKING:
     from rlco.data import DemoReplayBuffer
     from rlco.policies import ChunkPolicy
 
-#: Adam's first step is ten times the learning rate, which float32 must hold.
-LARGEST_LR = 1e37
 #: What every scene of robosuite's has; it may have others.
 USUAL_CAMERAS = {"agentview", "robot0_eye_in_hand"}
 
@@ -53,10 +52,12 @@ class GaussianOptions:
 class TokenOptions:
     """Options of policy=token."""
 
-    width: int = option(64, "features of a position of the transformer", minimum=1)
-    layers: int = option(1, "blocks of the transformer", minimum=1)
+    width: int = option(
+        64, "features of a position of the transformer", minimum=1, maximum=1024
+    )
+    layers: int = option(1, "blocks of the transformer", minimum=1, maximum=32)
     heads: int = option(4, "attention heads; they divide the width", minimum=1)
-    bins: int = option(256, "tokens an action number", minimum=2)
+    bins: int = option(256, "tokens an action number", minimum=2, maximum=2**16)
     bin_range: float = option(
         1.25, "outermost edges of the bins, in units of the normalised action"
     )
@@ -76,7 +77,7 @@ class TokenOptions:
 class FlowOptions:
     """Options of policy=flow."""
 
-    steps: int = option(4, "denoising steps", minimum=1)
+    steps: int = option(4, "denoising steps", minimum=1, maximum=1000)
     method: Literal["flow_noise", "flow_sde", "fpo"] = option(
         "flow_noise", "what stands for the log-probability"
     )
@@ -91,7 +92,7 @@ class FlowOptions:
     log_prob_level: Literal["chunk", "action", "token"] = option(
         "chunk", "what one ratio of PPO covers"
     )
-    imitation_draws: int = option(1, "times and noises a row", minimum=1)
+    imitation_draws: int = option(1, "times and noises a row", minimum=1, maximum=1000)
     padded_size: int | None = option(
         None, "numbers that RLinf's mean would run over; null: the real ones"
     )
@@ -268,6 +269,25 @@ def check_look(look: str | None, image_size: object) -> None:
     if image_size is None:
         raise ConfigError(
             [f"look={look} changes images, but none are drawn; leave it out"]
+        )
+
+
+def check_real_camera(camera: str | None, image_size: object) -> None:
+    """Check that a camera of real demonstrations is given where images are read.
+
+    Args:
+        camera: Its name; None: none is given.
+        image_size: Of the images that the policy reads; None where it reads none.
+
+    Raises:
+        ConfigError: There are no images.
+    """
+    if camera is not None and image_size is None:
+        raise ConfigError(
+            [
+                f"real_camera={shown(camera)} names images, but the policy reads none; "
+                "leave it out"
+            ]
         )
 
 

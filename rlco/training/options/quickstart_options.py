@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from rlco.runs.config import distinct, folder_name, option
-from rlco.training.options.policy_options import LARGEST_LR, PolicyOptions
+from rlco.runs.config import distinct, folder_name, none_twice, option
+from rlco.training.options.limits import LARGEST_LR, LONGEST_EPISODE, MOST_ENVS
+from rlco.training.options.policy_options import PolicyOptions
 from rlco.training.options.pretraining_options import PretrainingOptions
 from rlco.training.options.training_domain_options import TrainingDomainOptions
 
@@ -58,11 +59,12 @@ class QuickstartOptions(TrainingDomainOptions, PretrainingOptions, PolicyOptions
     sim_ratio: float = option(0.5, "alpha of Stage I", minimum=0, maximum=1)
     updates: int = option(1500, "optimiser steps of Stage I", minimum=1)
     iterations: int = option(40, "rollouts of Stage II", minimum=1)
-    num_envs: int = option(32, "episodes per rollout", minimum=1)
+    num_envs: int = option(32, "episodes per rollout", minimum=1, maximum=MOST_ENVS)
     horizon: int | None = option(
         None,
         "control steps of a training episode in Stage II, truncated; null: the task's",
         minimum=1,
+        maximum=LONGEST_EPISODE,
     )
     real_coeff: float = option(0.2, "beta of Stage II", minimum=0)
     rl_lr: float = option(
@@ -85,11 +87,13 @@ class QuickstartOptions(TrainingDomainOptions, PretrainingOptions, PolicyOptions
         "domains to compare in: names, MODULE:NAME, or paths of effects.yaml files; "
         "the last one is filmed",
         input="file",
+        check=distinct,
     )
     final_domains: list[str] = option(
         [],
         "further ones for the comparison alone, not for curves, such as locked",
         input="file",
+        check=none_twice,
     )
     train_domain: str = option(
         "sim",

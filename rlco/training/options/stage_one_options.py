@@ -4,9 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from rlco.runs.config import folder_name, option
+from rlco.runs.config import folder_name, none_twice, option
 from rlco.training.options.domain_flag_options import DomainFlagOptions
-from rlco.training.options.policy_options import LARGEST_LR, PolicyOptions
+from rlco.training.options.limits import (
+    LARGEST_LR,
+    LONGEST_CHUNK,
+    MOST_ROWS,
+    WIDEST_LAYER,
+    layers,
+)
+from rlco.training.options.policy_options import PolicyOptions
 from rlco.training.options.pretraining_options import PretrainingOptions
 
 #: What ``sim_ratio=null`` and ``eval_episodes=null`` stand for with a simulator.
@@ -57,13 +64,21 @@ class StageOneOptions(DomainFlagOptions, PretrainingOptions, PolicyOptions):
         minimum=0,
         maximum=1,
     )
-    chunk: int = option(4, "control steps of an action chunk", minimum=1, maximum=1000)
+    chunk: int = option(
+        4, "control steps of an action chunk", minimum=1, maximum=LONGEST_CHUNK
+    )
     hidden: list[int] = option(
-        [256, 256], "width of each hidden layer", minimum=1, maximum=16384
+        [256, 256],
+        "width of each hidden layer",
+        minimum=1,
+        maximum=WIDEST_LAYER,
+        check=layers,
     )
     updates: int = option(1500, "optimiser steps", minimum=1)
     log_every: int = option(100, "updates between rows of metrics.csv", minimum=1)
-    batch_size: int = option(256, "rows of a batch, both kinds together", minimum=1)
+    batch_size: int = option(
+        256, "rows of a batch, both kinds together", minimum=1, maximum=MOST_ROWS
+    )
     lr: float = option(
         1e-3,
         "learning rate, falling to 0 along a cosine",
@@ -83,6 +98,7 @@ class StageOneOptions(DomainFlagOptions, PretrainingOptions, PolicyOptions):
         ["sim", "stand_in"],
         "domains to evaluate in: names, MODULE:NAME, or paths of effects.yaml files",
         input="file",
+        check=none_twice,
     )
     effects_code: str | None = option(
         None, "Python file that registers effects of your own", input="file"

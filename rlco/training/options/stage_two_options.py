@@ -5,9 +5,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
-from rlco.runs.config import REQUIRED, folder_name, option
+from rlco.runs.config import REQUIRED, folder_name, none_twice, option
 from rlco.training.distributed.launch import LaunchOptions
-from rlco.training.options.policy_options import LARGEST_LR, AugmentOptions
+from rlco.training.options.limits import (
+    LARGEST_LR,
+    LONGEST_EPISODE,
+    MOST_ENVS,
+    MOST_ROWS,
+    WIDEST_LAYER,
+    layers,
+)
+from rlco.training.options.policy_options import AugmentOptions
 from rlco.training.options.training_domain_options import TrainingDomainOptions
 
 
@@ -51,11 +59,12 @@ class StageTwoOptions(LaunchOptions, AugmentOptions, TrainingDomainOptions):
         maximum=1,
     )
     iterations: int = option(100, "rollouts", minimum=1, may_change=True)
-    num_envs: int = option(32, "episodes of a rollout", minimum=1)
+    num_envs: int = option(32, "episodes of a rollout", minimum=1, maximum=MOST_ENVS)
     horizon: int | None = option(
         None,
         "control steps of a training episode, truncated; null: the task's",
         minimum=1,
+        maximum=LONGEST_EPISODE,
     )
     look: str | None = option(
         None,
@@ -77,8 +86,12 @@ class StageTwoOptions(LaunchOptions, AugmentOptions, TrainingDomainOptions):
         minimum=0,
         earlier=0,
     )
-    minibatch: int = option(128, "simulated decisions of a minibatch", minimum=1)
-    real_rows: int = option(128, "real rows of a minibatch", minimum=1)
+    minibatch: int = option(
+        128, "simulated decisions of a minibatch", minimum=1, maximum=MOST_ROWS
+    )
+    real_rows: int = option(
+        128, "real rows of a minibatch", minimum=1, maximum=MOST_ROWS
+    )
     lr: float = option(
         2e-4, "learning rate of the policy", minimum=0, maximum=LARGEST_LR
     )
@@ -113,7 +126,8 @@ class StageTwoOptions(LaunchOptions, AugmentOptions, TrainingDomainOptions):
         [256, 256],
         "gae: width of each hidden layer of the critic",
         minimum=1,
-        maximum=16384,
+        maximum=WIDEST_LAYER,
+        check=layers,
     )
     time_left: bool = option(
         True,
@@ -146,9 +160,13 @@ class StageTwoOptions(LaunchOptions, AugmentOptions, TrainingDomainOptions):
         ["sim", "stand_in"],
         "domains to evaluate in: names, MODULE:NAME, or paths of effects.yaml files",
         input="file",
+        check=none_twice,
     )
     final_domains: list[str] = option(
-        [], "further ones for the last evaluation alone, such as locked", input="file"
+        [],
+        "further ones for the last evaluation alone, such as locked",
+        input="file",
+        check=none_twice,
     )
 
     @property
