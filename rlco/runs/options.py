@@ -24,6 +24,8 @@ REQUIRED: str = MISSING
 _LONGEST_NAME = 100
 #: Defaults of other options, by the value of one.
 type Implied = Mapping[Any, Mapping[str, Any]]
+#: What NumPy and torch count with takes 64 bits.
+_LARGEST = 2**63 - 1
 #: Where an earlier run's value of an option is the default of today.
 AS_NOW: Any = object()
 
@@ -181,6 +183,12 @@ class Option:
         """Whether somebody must give a value."""
         return bool(self.default == REQUIRED)
 
+    @property
+    def may_nest(self) -> bool:
+        """Whether what a list of it holds may be lists or mappings themselves."""
+        held = (part for member in _members(self.hint) for part in get_args(member))
+        return any(get_origin(part) is not None for part in held)
+
     def from_text(self, text: str) -> Any:
         """Read the text behind ``key=``: as it is for text, as YAML for the rest.
 
@@ -227,13 +235,19 @@ class Option:
         """Say which limit a value, or a number in a list, breaks."""
         if isinstance(value, bool) or value is None:
             return None
+        listed = isinstance(value, Iterable) and not isinstance(value, str)
+        # OmegaConf looks at no more than that a list in a list is one.
+        if listed and any(map(OmegaConf.is_config, value)) and not self.may_nest:
+            return f"{shown(list(value))} is not of type {self.type_name}"
         if self.check is not None and (complaint := self.check(value)):
             return complaint
-        if isinstance(value, Iterable) and not isinstance(value, str):
+        if listed:
             found = (self.out_of_range(item) for item in value)
             return next((text for text in found if text), None)
         if not isinstance(value, int | float):
             return None
+        if isinstance(value, int) and abs(value) > _LARGEST:
+            return f"{shown(value)} is beyond the largest number allowed, {_LARGEST}"
         if math.isnan(value):
             return "nan is not a number"
         if math.isinf(value) and not self.infinite:
