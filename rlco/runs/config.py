@@ -259,7 +259,7 @@ def _apply(
                 complaint = (
                     f"{shown(setting.value)} refers to an option that is not set"
                 )
-            except OmegaConfBaseException:
+            except (OmegaConfBaseException, OverflowError):  # an int for a float
                 complaint = (
                     f"{shown(setting.value)} is not of type {options[key].type_name}"
                 )

@@ -22,11 +22,11 @@ from rlco.files import shown
 
 #: The default of an option that somebody must give.
 REQUIRED: str = MISSING
-#: What compiled code counts with, and so the most that a whole number can be.
-_LAST_INTEGER = 2**63 - 1
 _LONGEST_NAME = 100
 #: Defaults of other options, by the value of one.
 type Implied = Mapping[Any, Mapping[str, Any]]
+#: What NumPy and torch count with takes 64 bits.
+_LARGEST = 2**63 - 1
 #: Where an earlier run's value of an option is the default of today.
 AS_NOW: Any = object()
 
@@ -206,6 +206,12 @@ class Option:
         """Whether somebody must give a value."""
         return bool(self.default == REQUIRED)
 
+    @property
+    def may_nest(self) -> bool:
+        """Whether what a list of it holds may be lists or mappings themselves."""
+        held = (part for member in _members(self.hint) for part in get_args(member))
+        return any(get_origin(part) is not None for part in held)
+
     def from_text(self, text: str) -> Any:
         """Read the text behind ``key=``: as it is for text, as YAML for the rest.
 
@@ -254,13 +260,17 @@ class Option:
         """Say which limit a value, or a number in a list, breaks; its type is right."""
         if value is None:
             return None
+        listed = isinstance(value, Iterable) and not isinstance(value, str)
+        # OmegaConf looks at no more than that a list in a list is one.
+        if listed and any(map(OmegaConf.is_config, value)) and not self.may_nest:
+            return f"{shown(list(value))} is not of type {self.type_name}"
         if self.check is not None and (complaint := self.check(value)):
             return complaint
-        several = isinstance(value, Iterable) and not isinstance(value, str)
-        found = (self._broken_limit(item) for item in (value if several else [value]))
-        return next((text for text in found if text), None)
+        return self._broken_limit(value)
 
     def _broken_limit(self, value: Any) -> str | None:
+        if isinstance(value, Iterable) and not isinstance(value, str):
+            return next(filter(None, map(self._broken_limit, value)), None)
         if isinstance(value, bool) or not isinstance(value, int | float):
             return None
         if math.isnan(value):
@@ -269,11 +279,10 @@ class Option:
             return f"{shown(value)} is not a finite number"
         if self.minimum is not None and value < self.minimum:
             return f"{shown(value)} is below the least allowed, {self.minimum!r}"
-        greatest = self.maximum
-        if greatest is None and isinstance(value, int):
-            greatest = _LAST_INTEGER
-        if greatest is not None and value > greatest:
-            return f"{shown(value)} is above the greatest allowed, {greatest!r}"
+        if self.maximum is not None and value > self.maximum:
+            return f"{shown(value)} is above the greatest allowed, {self.maximum!r}"
+        if isinstance(value, int) and abs(value) > _LARGEST:
+            return f"{shown(value)} is beyond the largest number allowed, {_LARGEST}"
         return None
 
 

@@ -77,7 +77,7 @@ def test_an_unknown_option_or_name(
         ("sft", "policy=token token.layers=100000", "greatest allowed, 32"),
         ("sft", "policy=flow flow.steps=1000000000", "greatest allowed, 1000"),
         ("sft", f"batch_size={10**23}", "greatest allowed, 1000000"),
-        ("sft", f"updates={10**30}", f"greatest allowed, {2**63 - 1}"),
+        ("sft", f"updates={10**30}", f"largest number allowed, {2**63 - 1}"),
         ("sft", "eval_domains=[sim,sim]", "has one of them twice"),
         ("rl_co", "num_envs=1000000000", "greatest allowed, 65536"),
         ("rl_co", "minibatch=100000000000000", "greatest allowed, 1000000"),

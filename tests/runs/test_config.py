@@ -10,7 +10,15 @@ import pytest
 
 from rlco.errors import ConfigError
 from rlco.files import shown
-from rlco.runs.config import REQUIRED, RunOptions, option, parse, to_plain, to_yaml
+from rlco.runs.config import (
+    REQUIRED,
+    RunOptions,
+    distinct,
+    option,
+    parse,
+    to_plain,
+    to_yaml,
+)
 
 
 @dataclass
@@ -108,7 +116,7 @@ def test_all_problems_come_at_once_and_name_what_is_allowed(recipe: Path) -> Non
         ("seed=" + 5000 * "1", f"option seed: {shown(5000 * '1')} is not a YAML value"),
         (
             f"sizes=[{2**63}]",
-            "option sizes: 9223372036854775808 is above the greatest allowed, "
+            "option sizes: 9223372036854775808 is beyond the largest number allowed, "
             "9223372036854775807",
         ),
         (
@@ -155,6 +163,36 @@ def test_problem_in_a_yaml_file_names_the_file(recipe: Path) -> None:
     )
     path.write_text("- data\n")
     assert problems(recipe, f"config={path}") == (f"{path} must hold key: value lines",)
+
+
+@dataclass
+class Named(Config):
+    """Options with a list of texts."""
+
+    names: list[str] = option(["sim"], "names of something", check=distinct)
+    grid: list[list[int]] = option([[1]], "rows of numbers")
+
+
+@pytest.mark.parametrize(
+    "value", ["[[a]]", "[a, {b: 1}]", "[[]]", "{a: b}", "null", "[null]"]
+)
+def test_a_list_of_texts_holds_texts(recipe: Path, value: str) -> None:
+    path = recipe.parent / "mine.yaml"
+    path.write_text(f"data: x\nnames: {value}\n")
+    with pytest.raises(ConfigError, match=r"names: .* is not of type list\[str\]"):
+        parse(Named, [f"config={path}"], recipe)
+    path.write_text("data: x\nnames: [a, '${data}']\ngrid: [[1, 2], [3]]\n")
+    config = parse(Named, [f"config={path}"], recipe)
+    assert (config.names, config.grid) == (["a", "x"], [[1, 2], [3]])
+
+
+@pytest.mark.parametrize("key", ["seed", "keep_checkpoints", "ppo.lr", "betas"])
+def test_a_number_of_hundreds_of_digits_is_refused(recipe: Path, key: str) -> None:
+    value = f"{10**400}"
+    given = f"{key}=[{value}]" if key == "betas" else f"{key}={value}"
+    (problem,) = problems(recipe, "data=x", given)
+    assert problem.startswith(f"option {key}: ")
+    assert len(problem) < 300
 
 
 def test_text_stays_text_whatever_it_looks_like(recipe: Path) -> None:
