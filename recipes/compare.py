@@ -145,7 +145,7 @@ def check_launch(config: Config) -> None:
         ConfigError: They cannot.
     """
     if config.launch == "ray":
-        check_ray()
+        check_ray(config.ray_address)
     elif config.ray_address is not None:
         raise ConfigError(
             ["ray_address belongs to launch=ray, but launch=local; give launch=ray"]

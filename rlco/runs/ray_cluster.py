@@ -5,9 +5,12 @@ from __future__ import annotations
 import importlib.util
 import logging
 import os
+import re
+import socket
 from typing import Any
 
 from rlco.errors import ConfigError, LostProcessError
+from rlco.files import shown
 
 log = logging.getLogger("rlco.runs")
 
@@ -21,15 +24,20 @@ _SETTINGS = {
 #: Of a local cluster, for rollouts on their way and for weights [bytes].
 _STORE = 512 * 2**20
 _ATTEMPTS = 3
+_ADDRESS = re.compile(r"(ray://)?\[?(?P<host>[^\[\]/]+?)\]?:(?P<port>\d{1,9})")
+_PATIENCE = 10.0  # until something answers there [s]
 #: What Ray says of a start that took too long.
 _SLOW = "timed out during startup"
 
 
-def check_ray() -> None:
-    """Check that Ray is installed.
+def check_ray(address: str | None = None) -> None:
+    """Check that Ray is installed, and that something answers where a cluster should.
+
+    Args:
+        address: As `connect` takes it.
 
     Raises:
-        ConfigError: It is not.
+        ConfigError: It is not, or nothing does.
     """
     if importlib.util.find_spec("ray") is None:
         raise ConfigError(
@@ -38,6 +46,30 @@ def check_ray() -> None:
                 "checkout by: uv sync --extra ray"
             ]
         )
+    if address in (None, "auto"):
+        return
+    place = _ADDRESS.fullmatch(address or "")
+    if place is None:
+        raise ConfigError(
+            [
+                f"ray_address={shown(address)} is no address of a Ray cluster; give "
+                "auto, HOST:PORT or ray://HOST:PORT"
+            ]
+        )
+    try:
+        # Ray itself waits for minutes, and prints lines of its own.
+        socket.create_connection((place["host"], int(place["port"])), _PATIENCE).close()
+    except (OSError, OverflowError) as error:  # a port beyond the last one
+        raise _no_cluster(address, error) from error
+
+
+def _no_cluster(address: str | None, error: Exception) -> ConfigError:
+    return ConfigError(
+        [
+            f"ray_address={shown(address)} leads to no Ray cluster ({_first(error)}); "
+            "start one with `ray start --head`, or leave it out for one of this machine"
+        ]
+    )
 
 
 def import_ray() -> Any:
@@ -80,13 +112,7 @@ def connect(address: str | None, processors: int) -> bool:
     try:
         ray.init(address=address, **shared)
     except (ConnectionError, ValueError, RuntimeError) as error:
-        raise ConfigError(
-            [
-                f"ray_address={address!r} leads to no Ray cluster ({_first(error)}); "
-                "start one with `ray start --head`, or leave it out for one of this "
-                "machine"
-            ]
-        ) from error
+        raise _no_cluster(address, error) from error
     return True
 
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import logging
+import socket
 from typing import Any
 
 import pytest
 
-from rlco.errors import LostProcessError
-from rlco.runs.ray_cluster import connect, import_ray
+from rlco.errors import ConfigError, LostProcessError
+from rlco.runs.ray_cluster import check_ray, connect, import_ray
 
 SLOW = "The current node timed out during startup. This could happen because ..."
 
@@ -59,3 +60,26 @@ def test_another_failure_is_not_tried_again(monkeypatch: pytest.MonkeyPatch) -> 
     with pytest.raises(Exception, match="no such device"):
         connect(None, 2)
     assert starts.count == 1
+
+
+def test_an_address_at_which_nothing_answers_is_told_at_once() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        check_ray(f"127.0.0.1:{port}")
+        check_ray(f"ray://localhost:{port}")
+    with pytest.raises(ConfigError, match=r"leads to no Ray cluster \(.*refused"):
+        check_ray(f"ray://127.0.0.1:{port}")
+
+
+@pytest.mark.parametrize(
+    ("address", "words"),
+    [
+        ("node7", "is no address of a Ray cluster; give auto, HOST:PORT"),
+        ("node7:", "is no address"),
+        ("http://node7:6379/", "is no address"),
+        ("127.0.0.1:99999", "leads to no Ray cluster"),
+    ],
+)
+def test_what_is_no_address_is_told(address: str, words: str) -> None:
+    with pytest.raises(ConfigError, match=words):
+        check_ray(address)

@@ -117,7 +117,7 @@ def check_launch(options: DividedOptions, recipe: str = "rl_co") -> None:
     if options.workers is not None:
         from rlco.runs.ray_cluster import check_ray
 
-        check_ray()
+        check_ray(options.ray_address)
 
 
 def started_by_torchrun() -> int | None:

@@ -84,6 +84,7 @@ class StageTwoOptions(LaunchOptions, AugmentOptions, TrainingDomainOptions):
         1,
         "earlier rollouts that are learned from again, by truncated importance weights",
         minimum=0,
+        maximum=1000,
         earlier=0,
     )
     minibatch: int = option(

@@ -79,7 +79,7 @@ def test_what_does_not_go_together_is_refused(
         ({"num_envs": 31, "minibatch": 7}, {}),  # nothing is divided
         ({"launch": "ray", "workers": 4, "advantage": "mc"}, {}),
         ({"launch": "torchrun"}, BY_TORCHRUN),
-        ({"launch": "torchrun", "workers": 8, "ray_address": "a:1"}, BY_TORCHRUN),
+        ({"launch": "torchrun", "workers": 8, "ray_address": "auto"}, BY_TORCHRUN),
     ],
 )
 def test_what_goes_together_is_taken(
