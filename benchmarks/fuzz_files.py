@@ -24,9 +24,15 @@ from rlco.gap.model import load_model
 from rlco.lerobot_files import iterate_images, read_columns, read_folder
 from rlco.physics.spec.domain import STAND_IN, read_domain, write_domain
 from rlco.policies import load_policy, make_policy, save_policy
+from rlco.reporting.experiments.comparison import comparison_table, cost_table
+from rlco.reporting.experiments.results import made_by, table_entries
+from rlco.reporting.paired_results import read_evaluation
 from rlco.reporting.report import write_report
 from rlco.reporting.statistics import ResultRow
 from rlco.run import Run
+from rlco.runs.compare.cells import Cell, Store
+from rlco.runs.compare.jobs import expand
+from rlco.runs.compare.read_experiment import read_experiment
 from rlco.runs.config import RunOptions, parse, to_yaml
 from rlco.runs.state_files import load_state, save_state
 
@@ -41,6 +47,26 @@ URDF = """<robot name="arm"><link name="base"/><link name="upper"><inertial>
 iyz="0" izz="0.1"/></inertial></link><joint name="shoulder" type="revolute">
 <parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
 <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+EVAL_INFO = {
+    "per_task": [{"task_group": "a", "task_id": 0, "metrics": {"successes": [1, 0]}}]
+}
+EXPERIMENT = """name: two
+over: {seed: [0, 1], beta: [0, 0.2]}
+without: [{seed: 1, beta: 0}]
+jobs:
+  one:
+    script: recipes/sft.py
+    minutes: 2
+    options: {eval_domains: [sim], seed: "{seed}"}
+  two:
+    script: recipes/rl_co.py
+    options: {policy: "{one}/policy", real_coeff: "{beta}", seed: "{seed}"}
+table:
+  methods:
+    sft: {job: one, method: sft}
+    beta {beta}: {job: two, curve: metrics.csv}
+  differences: [[beta 0.2, sft]]
+"""
 
 
 @dataclass(frozen=True)
@@ -193,9 +219,9 @@ def write_policy(folder: Path) -> None:
     save_policy(policy, folder, extra={"task": "push_cube"})
 
 
-def write_run(folder: Path) -> None:
-    row = ResultRow(
-        method="sft",
+def result(method: str) -> ResultRow:
+    return ResultRow(
+        method=method,
         domain="sim",
         task="push_cube",
         policy="gaussian",
@@ -204,13 +230,38 @@ def write_run(folder: Path) -> None:
         episodes=8,
         successes=5,
     )
+
+
+def write_run(folder: Path) -> None:
     with Run(RunOptions(out=str(folder / "run")), "demo") as run:
         for step in (1, 2):
             run.log_metrics(step, {"loss": 1 / step, "success": 0.5})
             run.save_checkpoint(step, {"weight": torch.arange(8.0)})
-        run.save_results([row])
+        run.save_results([result("sft")])
     for left in (folder / "run/tb").glob("*"):
         left.unlink()  # written anew, never read
+
+
+def write_experiment(folder: Path) -> None:
+    file = folder / "two.yaml"
+    file.write_text(EXPERIMENT)
+    (folder / "cells").mkdir()
+    for job in expand(read_experiment(file)):
+        row = dict(result("sft" if job.kind.name == "one" else "rl_co"))
+        curve = [{"step": 1.0, "success_sim": 0.5}, {"step": 2.0, "success_sim": 0.75}]
+        about = {"name": job.name, "key": job.key, "identity": job.identity}
+        made = {"code": job.code.version, "script": job.kind.script, "options": {}}
+        cell = Cell(**about, **made, rows=[row], curves={"metrics.csv": curve})
+        cell.write(folder / "cells" / f"{job.folder}.json")
+
+
+def read_tables(folder: Path) -> None:
+    experiment = read_experiment(folder / "two.yaml")
+    jobs, store = expand(experiment), Store(folder / "out", folder / "cells", "any")
+    entries = table_entries(experiment, jobs, store)
+    comparison_table(entries, experiment.table.differences)
+    cost_table(entries)
+    made_by(jobs, store)
 
 
 def resume(folder: Path) -> None:
@@ -264,4 +315,8 @@ READERS = {
     "policy": Reader(write_policy, load_policy),
     "results.json": Reader(write_run, lambda f: write_report(f / "run")),
     "resume=": Reader(write_run, resume),
+    "eval_info.json": Reader(
+        of_text("eval_info.json", json.dumps(EVAL_INFO)), read_evaluation
+    ),
+    "experiment": Reader(write_experiment, read_tables),
 }
