@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -126,6 +127,35 @@ def test_a_model_that_reads_files_elsewhere_is_refused(
     file.write_text(xml)
     with pytest.raises(RlcoError, match=r"outside of .*; if you trust the model, give"):
         load_model(file)
+
+
+@pytest.mark.parametrize(
+    "xml",
+    [
+        "<mujoco><include file='pipe'/></mujoco>",
+        asset("<mesh file='pipe'/>"),
+        asset("<model file='pipe'/>"),
+        asset("<texture fileup='pipe' type='cube'/>"),
+    ],
+)
+def test_a_pipe_that_a_model_reads_is_not_waited_for(tmp_path: Path, xml: str) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "arm.xml").write_text(xml)
+    with pytest.raises(RlcoError, match=r"pipe' is no file; give the model a file"):
+        load_model(tmp_path / "arm.xml")
+
+
+def test_what_lies_elsewhere_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    (tmp_path / "arm").mkdir()
+    (tmp_path / "arm" / "arm.xml").write_text("<a><include file='../huge.xml'/></a>")
+    with (tmp_path / "huge.xml").open("wb") as file:
+        file.truncate(2**42)
+    with pytest.raises(RlcoError, match="outside of"):
+        load_model(tmp_path / "arm" / "arm.xml")
+    with pytest.raises(
+        RlcoError, match=r"huge\.xml' is a text of 4398046.5 MB, and at"
+    ):
+        load_model(tmp_path / "arm" / "arm.xml", root=tmp_path)
 
 
 @pytest.mark.parametrize(

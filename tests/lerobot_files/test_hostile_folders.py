@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import shutil
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +28,7 @@ from rlco.lerobot_files import (
     tables,
 )
 
+FIRST = Path(__file__).parents[1] / "first_edition"
 CAMERA = "observation.images.front"
 STORED = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
 
@@ -367,6 +370,36 @@ def test_a_film_as_declared_is_decoded(root: Path) -> None:
     film(root, coded("mpeg4"))
     (frames,) = iterate_images(read_folder(root), CAMERA)
     assert frames.shape == (3, 3, 16, 32)
+
+
+# -- Pipes ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["info.json", "tasks.jsonl", "episodes.jsonl"])
+def test_a_pipe_is_not_waited_for(root: Path, name: str) -> None:
+    (root / "meta" / name).unlink()
+    os.mkfifo(root / "meta" / name)
+    with pytest.raises(DataError, match=rf"{name}' is no file|has no meta/{name}"):
+        read_folder(root)
+
+
+@pytest.mark.parametrize(
+    "name", ["tasks.parquet", "episodes/chunk-000/file-000.parquet"]
+)
+def test_a_pipe_in_the_place_of_a_table(tmp_path: Path, name: str) -> None:
+    root = tmp_path / "demos"
+    shutil.copytree(FIRST / "demos" / "sim", root)
+    (root / "meta" / name).unlink()
+    os.mkfifo(root / "meta" / name)
+    with pytest.raises(DataError, match=rf"{name}' is no file"):
+        read_folder(root)
+
+
+def test_a_pipe_in_the_place_of_frames(root: Path) -> None:
+    data_file(root).unlink()
+    os.mkfifo(data_file(root))
+    with pytest.raises(DataError, match=r"\.parquet"):
+        read(root)
 
 
 # -- Types -----------------------------------------------------------------------------
