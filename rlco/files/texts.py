@@ -13,6 +13,8 @@ from rlco.files.sizes import check_held
 
 #: Characters of a JSON text: Python's objects take some twenty times their text.
 LONGEST = 40_000_000
+#: Bytes of a text for which there is always memory.
+_SMALL = 2**26
 
 
 def read_text(
@@ -46,7 +48,8 @@ def read_text(
                 f"file {str(path)!r} is a text of {size / 1e6:.1f} MB, and at most "
                 f"{most / 1e6:g} MB are read; {advice}."
             )
-        check_held(2 * size, f"the text of {str(path)!r}", advice)
+        if size > _SMALL:
+            check_held(2 * size, f"the text of {str(path)!r}", advice)
         return path.read_text(encoding, errors)
 
 

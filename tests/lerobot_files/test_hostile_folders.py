@@ -21,6 +21,7 @@ import pytest
 from rlco.errors import DataError
 from rlco.files import sizes
 from rlco.lerobot_files import (
+    check_stored_sizes,
     images,
     iterate_images,
     read_columns,
@@ -491,6 +492,48 @@ def test_a_name_longer_than_messages_are(root: Path) -> None:
     with pytest.raises(DataError, match="has a name of 5000 characters") as caught:
         read_folder(root)
     assert len(str(caught.value)) < 800
+
+
+def test_names_of_numbers_longer_than_messages_are(root: Path) -> None:
+    features = json.loads((root / "meta/info.json").read_text())["features"]
+    features["observation.state"]["names"] = ["x" * 100_000]
+    edit(root, features=features)
+    names = read_folder(root).feature("observation.state").names
+    assert names == ("x" * 197 + "...",)
+
+
+@pytest.mark.parametrize("shape", [[10**12], [2], [10**6, 10**6], [2**62] * 8])
+def test_a_size_is_checked_against_the_file(root: Path, shape: list[int]) -> None:
+    features = json.loads((root / "meta/info.json").read_text())["features"]
+    features["observation.state"]["shape"] = shape
+    edit(root, features=features)
+    folder = read_folder(root)
+    with pytest.raises(DataError, match="holds 1 numbers per frame, but meta/info"):
+        check_stored_sizes(folder, ["observation.state"])
+    # A feature whose name begins with another's is one of its own.
+    column = pa.array([[1.0, 2.0]] * 3)
+    table = pq.read_table(data_file(root)).append_column("observation.state.2", column)
+    pq.write_table(table, data_file(root))
+    with pytest.raises(DataError, match="holds 1 numbers per frame"):
+        check_stored_sizes(folder, ["observation.state"])
+
+
+def test_a_shape_of_dimensions_without_end(root: Path) -> None:
+    features = json.loads((root / "meta/info.json").read_text())["features"]
+    features["observation.state"]["shape"] = [2**62] * 9
+    edit(root, features=features)
+    with pytest.raises(DataError, match="has no proper dtype and shape"):
+        read_folder(root)
+
+
+def test_a_number_beyond_what_is_asked_for_is_located(root: Path) -> None:
+    folder = read_folder(root)
+    names = ["observation.state", "frame_index"]
+    assert set(read_columns(folder, names, largest=2.5)) == set(names)
+    with pytest.raises(DataError, match=r"beyond \+-2 in 1 of 3 frames, .* at frame 2"):
+        read_columns(folder, names, largest=2)
+    with pytest.raises(DataError, match=r"'frame_index' .* is beyond \+-1 in 1 of 3"):
+        read_columns(folder, ["frame_index"], largest=1)
 
 
 def test_a_folder_of_many_features_names_some_of_them(root: Path) -> None:
