@@ -19,6 +19,7 @@ from rlco.data.augment import Augmentation
 from rlco.data.instructions import InstructionFromId
 from rlco.data.resize import images_of
 from rlco.errors import ConfigError, DataError, OutputExistsError, counted, suggest
+from rlco.files import few, shown
 from rlco.files.sizes import check_held
 from rlco.keys import (
     ACTION,
@@ -29,7 +30,13 @@ from rlco.keys import (
     STATE,
     image_keys,
 )
-from rlco.lerobot_files import LeRobotFolder, read_columns, read_folder
+from rlco.lerobot_files import (
+    LARGEST,
+    LeRobotFolder,
+    check_stored_sizes,
+    read_columns,
+    read_folder,
+)
 from rlco.physics.rendering.image_size import check_image_size
 
 _STATE = "observation.state"
@@ -174,6 +181,7 @@ def load_demos(
         _ENVIRONMENT_STATE: environment_dim,
     }
     _check_sizes(folder, sizes)
+    check_stored_sizes(folder, [name for name in sizes if name in folder.features])
     camera = _choose_camera(folder, image_key)
     features = list(camera.values()) if isinstance(camera, Mapping) else [camera]
     _check_memory(folder, chunk, features, image_size, memmap)
@@ -258,7 +266,7 @@ def _numeric_rows(
     names = [*stored.values(), "task_index", "episode_index", "frame_index"]
     columns = {
         name: torch.from_numpy(np.ascontiguousarray(column))
-        for name, column in read_columns(folder, names).items()
+        for name, column in read_columns(folder, names, largest=LARGEST).items()
     }
     total = len(columns["frame_index"])
     rows = TensorDict(batch_size=[total])
@@ -288,8 +296,9 @@ def _instruction_ids(
         if text not in texts:
             raise DataError(
                 f"data set {str(folder.path)!r} has frames with the instruction "
-                f"{text!r}{suggest(text, texts)}, which is not among the known ones: "
-                f"{', '.join(map(repr, texts))}; add it, or leave these episodes out."
+                f"{shown(text)}{suggest(text, texts)}, which is not among the known "
+                f"ones: {few([repr(known) for known in texts])}; add it, or leave "
+                "these episodes out."
             )
         ids.append(texts.index(text))
     return torch.tensor(ids)[torch.from_numpy(inverse)]

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 from rlco.errors import DataError
-from rlco.lerobot_files import LeRobotFolder
+from rlco.lerobot_files import LeRobotFolder, check_stored_sizes
 
 _STATE = "observation.state"
 _ENVIRONMENT_STATE = "observation.environment_state"
@@ -73,6 +73,8 @@ def recorded_task(folders: Mapping[str, LeRobotFolder]) -> RecordedTask:
                     f"{option} has {one:g} {what} and {other} has {two:g}; train on "
                     "one of them alone, or give data sets of the same robot."
                 )
+    for folder in folders.values():
+        check_stored_sizes(folder, used)
     texts = [text for f in folders.values() for _, text in sorted(f.tasks.items())]
     poses = _names(first, _ENVIRONMENT_STATE) if _ENVIRONMENT_STATE in used else ()
     return RecordedTask(

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import reprlib
+import stat
 import struct
 import zlib
 from collections.abc import Iterator, Sequence
@@ -57,7 +59,7 @@ def reading(
     """Turn what a library raises while it reads a file into one sentence.
 
     Put the call of the library into it and no more: a mistake of one's own in there
-    would be blamed on the file.
+    would be blamed on the file. What is no file is refused before, see `check_kind`.
 
     Args:
         path: The file or folder that is read.
@@ -80,6 +82,7 @@ def reading(
 value: line 1 column 9 (char 8)); copy it again.
     """
     named = f"{what} {str(path)!r}"
+    check_kind(path, advice=advice, error=error)
     try:
         yield
     except RlcoError:
@@ -96,6 +99,34 @@ value: line 1 column 9 (char 8)); copy it again.
         raise error(
             f"{named} is truncated or damaged ({reason(cause)}); {advice}."
         ) from cause
+
+
+def check_kind(
+    *paths: str | Path,
+    advice: str = "copy it again",
+    error: type[RlcoError] = DataError,
+) -> None:
+    """Refuse paths of what is neither a file nor a folder, before they are opened.
+
+    A pipe would be waited for, and a device such as ``/dev/zero`` never ends. What is
+    missing is left to whoever opens it.
+
+    Raises:
+        RlcoError: Of the class `error`, if there is one.
+
+    Example:
+        >>> check_kind("/dev/zero", advice="give a file")
+        Traceback (most recent call last):
+        ...
+        rlco.errors.DataError: '/dev/zero' is no file; give a file.
+    """
+    for path in paths:
+        try:
+            mode = os.stat(path).st_mode
+        except (OSError, ValueError):
+            continue
+        if not (stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise error(f"{str(path)!r} is no file; {advice}.")
 
 
 def reason(error: BaseException) -> str:

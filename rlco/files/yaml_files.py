@@ -88,7 +88,7 @@ def read_yaml(
         RlcoError: Of the class `error`, if it is missing or no YAML, has a key twice,
             is longer than a megabyte, or its aliases stand for too many values.
     """
-    text = read_text(path, advice=advice, error=error)
+    text = read_text(path, most=4 * _LONGEST, advice=advice, error=error)
     return parse_yaml(text, path, advice=advice, error=error)
 
 

@@ -9,12 +9,14 @@ from __future__ import annotations
 import os
 import re
 import sysconfig
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from math import prod
 from pathlib import Path, PurePosixPath
 
 from rlco.errors import RlcoError
+from rlco.files.reading import check_kind
+from rlco.files.texts import read_text
 from rlco.gap.xml_tags import tags
 
 #: Elements that replicates and the like may add to a model. MuJoCo's time grows with
@@ -28,6 +30,8 @@ _FILES = ("file", "filename", *(f"file{side}" for side in _SIDES))
 _PACKAGE = 3
 #: Files that a model may include and attach.
 _MANY = 200
+#: Of the text of each; meshes lie in files of their own. [bytes]
+LONGEST = 100_000_000
 
 
 @dataclass
@@ -36,6 +40,7 @@ class _Text:
 
     Attributes:
         folder: Of the model's own file.
+        check: Called with each file before it is read.
         elements: In the text.
         made: With all that is replicated.
         files: What is read, by the element that reads it.
@@ -46,6 +51,7 @@ class _Text:
     """
 
     folder: Path
+    check: Callable[[Path], None]
     elements: int = 0
     made: int = 0
     files: list[tuple[str, str]] = field(default_factory=list)
@@ -86,7 +92,8 @@ class _Text:
             if name == "model":  # its paths are those of its own folder
                 self.attached.append(path)
             elif len(self.seen) <= _MANY:
-                self.read(path.read_text("utf-8", "replace"), times)
+                self.check(path)
+                self.read(text_of(path), times)
 
     def paths(self) -> Iterator[Path]:
         """Yield all files that may be read."""
@@ -100,6 +107,20 @@ class _Text:
                     name = PurePosixPath(name).name
             for base in bases:
                 yield self.folder / base / name
+
+
+def text_of(path: Path, *, errors: str = "replace") -> str:
+    """Return the text of a model's file, or of one that it includes or attaches.
+
+    Args:
+        path: The file.
+        errors: What becomes of bytes that are no text, as in `open`.
+
+    Raises:
+        RlcoError: It is missing, or longer than 100 MB.
+    """
+    advice = "give an MJCF or URDF file"
+    return read_text(path, errors=errors, most=LONGEST, advice=advice, error=RlcoError)
 
 
 def check_text(path: Path, source: str, root: Path | None = None) -> None:
@@ -117,20 +138,21 @@ def check_text(path: Path, source: str, root: Path | None = None) -> None:
             hundreds of files.
     """
     home = (root or _package(path.parent)).resolve()
+
+    def check(file: Path) -> None:
+        _check_place(path, file, home)
+
     seen: set[Path] = set()
     waiting = [(path, source)]
     while waiting:
         part, its_source = waiting.pop()
-        text = _Text(part.parent, seen=seen)
+        text = _Text(part.parent, check, seen=seen)
         text.read(its_source, 1)
-        _check_one(path, text, home)
-        waiting += [
-            (file, file.read_text("utf-8", "replace"))
-            for file in text.attached[: _MANY + 1]
-        ]
+        _check_one(path, text)
+        waiting += [(file, text_of(file)) for file in text.attached[: _MANY + 1]]
 
 
-def _check_one(path: Path, text: _Text, home: Path) -> None:
+def _check_one(path: Path, text: _Text) -> None:
     if len(text.seen) > _MANY:
         raise RlcoError(
             f"model {str(path)!r} includes or attaches more than {_MANY} files; write "
@@ -142,16 +164,21 @@ def _check_one(path: Path, text: _Text, home: Path) -> None:
             f"replicate, composite or flexcomp, and at most {MOST} more are compiled; "
             "give smaller counts."
         )
-    installed = Path(sysconfig.get_paths()["purelib"]).resolve()
     for file in text.paths():
-        target = file.resolve()
-        if target.is_relative_to(home) or target.is_relative_to(installed):
-            continue
+        text.check(file)
+
+
+def _check_place(path: Path, file: Path, home: Path) -> None:
+    """Check that a model may read a file: it is one, and lies where it should."""
+    target = file.resolve()
+    installed = Path(sysconfig.get_paths()["purelib"]).resolve()
+    if not (target.is_relative_to(home) or target.is_relative_to(installed)):
         common = os.path.commonpath([home, target.parent])
         raise RlcoError(
             f"model {str(path)!r} reads {str(target)!r}, outside of {str(home)!r}; if "
             f"you trust the model, give model_root={common}, a folder that holds both."
         )
+    check_kind(file, advice="give the model a file there", error=RlcoError)
 
 
 def _package(folder: Path) -> Path:

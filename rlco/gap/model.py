@@ -8,13 +8,14 @@ from pathlib import Path
 import mujoco
 
 from rlco.errors import RlcoError, UnknownNameError
-from rlco.files.texts import read_text
 from rlco.gap import servo_models
-from rlco.gap.declared import check_text
+from rlco.gap.declared import check_text, text_of
+from rlco.gap.model_options import check_options
 from rlco.gap.prune import compile_whole, prune, prune_whole
 from rlco.gap.servo_models import Pendulum, Servo, pendulum_xml, servo_named
 from rlco.gap.trial import does_not_compile, try_model
 from rlco.physics.effects import targets
+from rlco.physics.mj.libmujoco import silenced_warnings
 
 #: Prefix of a robosuite task's name, given in place of a file's path.
 PREFIX = "robosuite:"
@@ -89,12 +90,16 @@ def load_model(model: str | Path, *, root: str | Path | None = None) -> LoadedMo
             f"model {str(path)!r} is not a file; give an MJCF file, or a task as "
             f"model={PREFIX}push_cube, or a servo as model={servo_models.PREFIX}xl330."
         )
-    source = read_text(path, advice="give an MJCF or URDF file", error=RlcoError)
+    source = text_of(path, errors="strict")
     check_text(path, source, None if root is None else Path(root))
     try_model(path, source)
     try:
-        spec = mujoco.MjSpec.from_file(str(path))
-        whole = compile_whole(spec)
+        with silenced_warnings():
+            spec = mujoco.MjSpec.from_file(str(path))
+            check_options(path, spec.option)
+            whole = compile_whole(spec)
+    except RlcoError:
+        raise
     except ValueError as error:
         raise does_not_compile(path, str(error)) from None
     slim = prune_whole(whole)

@@ -10,6 +10,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from rlco.errors import RlcoError
 from rlco.files.reading import cut
@@ -72,14 +73,22 @@ def try_model(path: Path, source: str) -> None:
         return
     memory = MEMORY + 20 * path.stat().st_size
     limits = [str(memory), str(int(SECONDS))]
-    command = [sys.executable, "-I", "-c", _CODE, str(path), *limits]
+    command = [sys.executable, "-I", "-c", _CODE, str(path.absolute()), *limits]
     too_large = RlcoError(
         f"model {str(path)!r} takes more than {memory / 2**30:.1f} GB or "
         f"{SECONDS:g} s to compile; make it smaller: a replicate, a height field, a "
         "composite or a mesh in it is too large."
     )
     try:
-        done = subprocess.run(command, capture_output=True, timeout=WAIT, check=False)
+        # Elsewhere: MuJoCo leaves its warnings where it is.
+        with TemporaryDirectory() as elsewhere:
+            done = subprocess.run(
+                command,
+                capture_output=True,
+                timeout=WAIT,
+                check=False,
+                cwd=elsewhere,
+            )
     except subprocess.TimeoutExpired:
         raise too_large from None
     said = done.stdout.decode("utf-8", "replace")

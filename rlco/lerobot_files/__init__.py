@@ -6,6 +6,8 @@
 
 from __future__ import annotations
 
+from rlco.lerobot_files.columns import LARGEST as LARGEST
+from rlco.lerobot_files.columns import check_stored_sizes as check_stored_sizes
 from rlco.lerobot_files.columns import read_columns as read_columns
 from rlco.lerobot_files.folder import RECORDED as RECORDED
 from rlco.lerobot_files.folder import UNFINISHED_MARK as UNFINISHED_MARK

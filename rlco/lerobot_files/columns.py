@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -10,20 +11,53 @@ import numpy.typing as npt
 import pyarrow as pa
 
 from rlco.errors import DataError
-from rlco.files import few, reading
+from rlco.files import few, reading, shown
 from rlco.files.places import inside
+from rlco.files.reading import cut
+from rlco.lerobot_files.parquet_footer import leaves
 from rlco.lerobot_files.schema import Episode, Feature, LeRobotFolder
 from rlco.lerobot_files.tables import read_table, whole_numbers
 
 Array = npt.NDArray[np.generic]
 
 
-def read_columns(folder: LeRobotFolder, names: Iterable[str]) -> dict[str, Array]:
+#: The largest magnitude that can be trained on: squares of float32 end at ten times it.
+LARGEST = 1e18
+
+
+def check_stored_sizes(folder: LeRobotFolder, names: Iterable[str]) -> None:
+    """Check that the folder's first file has all numbers that features are to have.
+
+    What is said in meta/info.json may be any number, and who counts on it, such as a
+    network of that size, takes memory before the rows are read.
+
+    Args:
+        folder: Result of ``read_folder``.
+        names: Numeric features, by their names after renaming.
+
+    Raises:
+        DataError: A feature is missing, or has fewer numbers a frame, or the file is
+            damaged.
+    """
+    file = inside(folder.path, folder.episodes[0].data_file)
+    with reading(file):
+        stored = list(leaves(file))
+    for feature in map(folder.feature, names):
+        parts = [leaf for leaf in stored if leaf.column == feature.stored_name]
+        rows, values = sum(p.rows for p in parts), sum(p.values for p in parts)
+        if parts and rows * feature.size > values:
+            raise _other_size(file, feature, values, rows)
+
+
+def read_columns(
+    folder: LeRobotFolder, names: Iterable[str], *, largest: float = math.inf
+) -> dict[str, Array]:
     """Read numeric features of all the folder's episodes, one after the other.
 
     Args:
         folder: Result of ``read_folder``.
         names: Features, by their names after renaming.
+        largest: Magnitude that a number may have at most.
 
     Returns:
         One array per name: shape (frames, *feature shape), without the last axis
@@ -31,14 +65,14 @@ def read_columns(folder: LeRobotFolder, names: Iterable[str]) -> dict[str, Array
 
     Raises:
         DataError: If a feature is missing or not numeric, a file is damaged, a value is
-            missing, NaN or infinite, or the frames are not those listed.
+            missing, NaN, infinite or too large, or the frames are not those listed.
     """
     features = {name: folder.feature(name) for name in names}
     for name, feature in features.items():
         if feature.is_camera or feature.dtype in ("string", "language"):
             raise DataError(
                 f"feature {name!r} of data set {str(folder.path)!r} is of type "
-                f"{feature.dtype!r} and holds no numbers."
+                f"{shown(feature.dtype)} and holds no numbers."
             )
     by_file: dict[Path, list[Episode]] = {}
     for episode in folder.episodes:
@@ -53,7 +87,7 @@ def read_columns(folder: LeRobotFolder, names: Iterable[str]) -> dict[str, Array
         for name in features
     }
     for name, column in columns.items():
-        _check_finite(folder, name, column)
+        _check_finite(folder, name, column, largest)
     return columns
 
 
@@ -128,31 +162,44 @@ def _to_array(file: Path, column: pa.ChunkedArray, feature: Feature) -> Array:
         flat = np.asarray(values.to_numpy(zero_copy_only=False))
     if flat.dtype.kind not in "fiub":
         raise DataError(
-            f"column {name!r} of file {str(file)!r} holds {values.type}, not numbers."
+            f"column {name!r} of file {str(file)!r} holds {cut(str(values.type))}, "
+            "not numbers."
         )
     if flat.size != rows * feature.size:
-        raise DataError(
-            f"column {name!r} of file {str(file)!r} holds {flat.size / max(rows, 1):g} "
-            f"numbers per frame, but meta/info.json says {feature.size}."
-        )
+        raise _other_size(file, feature, flat.size, rows)
     return flat.reshape(rows, *(() if feature.shape == (1,) else feature.shape))
 
 
-def _check_finite(folder: LeRobotFolder, name: str, column: Array) -> None:
-    if column.dtype.kind != "f":
+def _other_size(file: Path, feature: Feature, found: int, rows: int) -> DataError:
+    return DataError(
+        f"column {feature.stored_name!r} of file {str(file)!r} holds "
+        f"{found / max(rows, 1):g} numbers per frame, but meta/info.json says "
+        f"{feature.size}; correct its shape there, or copy the data set again."
+    )
+
+
+def _check_finite(
+    folder: LeRobotFolder, name: str, column: Array, largest: float
+) -> None:
+    if column.dtype.kind == "b":
         return
-    broken = ~np.isfinite(column).reshape(len(column), -1)
+    flat = column.reshape(len(column), -1)
+    broken = ~((flat >= -largest) & (flat <= largest))
+    if math.isinf(largest):
+        broken = ~np.isfinite(flat)
     bad = broken.any(axis=1)
     if not bad.any():
         return
     row = int(bad.argmax())
+    finite = bool(np.isfinite(flat).all())
+    what = f"beyond +-{largest:g}" if finite else "NaN or infinite"
     names = folder.feature(name).names
     number = f" ({names[int(broken[row].argmax())]})" if names else ""
     ends = np.cumsum([episode.length for episode in folder.episodes])
     which = int(np.searchsorted(ends, row, side="right"))
     episode = folder.episodes[which]
     raise DataError(
-        f"feature {name!r}{number} of data set {str(folder.path)!r} is NaN or infinite "
+        f"feature {name!r}{number} of data set {str(folder.path)!r} is {what} "
         f"in {int(bad.sum())} of {len(column)} frames, first in episode "
         f"{episode.index} at frame {row - int(ends[which]) + episode.length}; correct "
         "it, or leave the episode out with episodes=."

@@ -10,6 +10,7 @@ from typing import Any, Literal
 from rlco.errors import DataError, suggest
 from rlco.files import Fields, few, read_json, reading, shown
 from rlco.files.places import inside
+from rlco.files.reading import cut
 from rlco.lerobot_files.episodes import (
     episodes_v2,
     episodes_v3,
@@ -22,6 +23,8 @@ from rlco.lerobot_files.schema import Feature, LeRobotFolder
 
 #: Of a feature, as messages and tables show it [characters].
 LONGEST_NAME = 200
+#: Dimensions of one; an image has three.
+_MOST_DIMENSIONS = 8
 #: Exists in a folder from the start of its recording to the end.
 UNFINISHED_MARK = "meta/unfinished"
 #: How rlco recorded a data set: a file of its own, which other programs leave alone.
@@ -149,12 +152,12 @@ def _features(path: Path, info: Fields) -> dict[str, Feature]:
             )
         try:
             fields = Fields(entry, f"feature {name!r}")
-            shape = tuple(map(_dimension, fields.sequence("shape")))
+            shape = _shape(fields)
             feature = Feature(name, fields.text("dtype"), shape)
         except DataError:
             raise DataError(
                 f"feature {name!r} of data set {str(path)!r} has no proper dtype and "
-                f"shape in meta/info.json: {shown(entry)}."
+                f"shape in meta/info.json: {shown(entry)}; correct it there."
             ) from None
         with reading(path / "meta" / "info.json"):  # names may be nested, not endlessly
             names = tuple(_flat_names(entry.get("names")))
@@ -165,14 +168,19 @@ def _features(path: Path, info: Fields) -> dict[str, Feature]:
     return features
 
 
-def _dimension(value: Any) -> int:
-    return Fields({"shape": value}, "feature").integer("shape", minimum=0)
+def _shape(feature: Fields) -> tuple[int, ...]:
+    given = feature.sequence("shape")
+    if len(given) > _MOST_DIMENSIONS:
+        raise feature.refuse("shape", f"a list of at most {_MOST_DIMENSIONS} numbers")
+    return tuple(
+        Fields({"shape": one}, "feature").integer("shape", minimum=0) for one in given
+    )
 
 
 def _flat_names(names: Any) -> Iterable[str]:
     # Recorders write a list, a list in a list, or a mapping of group to list.
     if isinstance(names, str):
-        yield names
+        yield cut(names, LONGEST_NAME)
     elif isinstance(names, Mapping):
         grouped = any(isinstance(group, list) for group in names.values())
         yield from _flat_names(list(names.values() if grouped else names))

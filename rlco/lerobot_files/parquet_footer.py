@@ -30,13 +30,19 @@ class Leaf:
 
     Attributes:
         path: Its place in the schema, ``action.list.element``.
+        column: The column that it belongs to, ``action``.
         declared: Bytes that its values take in memory.
         plain: Whether they are plain numbers.
+        values: Their number.
+        rows: That of the row group's rows.
     """
 
     path: str
+    column: str
     declared: int
     plain: bool
+    values: int
+    rows: int
 
 
 def leaves(file: Path) -> Iterator[Leaf]:
@@ -58,9 +64,11 @@ def leaves(file: Path) -> Iterator[Leaf]:
         for chunk in group[1]:
             column = chunk[3]
             width = _WIDTH.get(column[1])
-            path = b".".join(column[3]).decode()
-            declared = column[6] if width is None else width * column[5]
-            yield Leaf(path, declared, width is not None)
+            names = [name.decode() for name in column[3]]
+            values = column[5]
+            declared = column[6] if width is None else width * values
+            plain, path = width is not None, ".".join(names)
+            yield Leaf(path, names[0], declared, plain, values, group[3])
 
 
 class _Compact:

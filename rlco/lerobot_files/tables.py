@@ -12,7 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from rlco.errors import DataError, counted
-from rlco.files import few, reading
+from rlco.files import few, reading, shown
+from rlco.files.reading import cut
 from rlco.files.sizes import check_declared
 from rlco.lerobot_files.parquet_footer import leaves
 
@@ -35,7 +36,7 @@ def read_table(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
         if twice:
             raise DataError(
                 f"file {str(file)!r} has {counted(len(twice), 'column')} twice, such "
-                f"as {twice[0]!r}; write it again with each of them once."
+                f"as {shown(twice[0])}; write it again with each of them once."
             )
         wanted = [name for name in columns or names if name in names]
         longest = _check_size(file, parquet.metadata.num_rows, wanted)
@@ -127,8 +128,9 @@ def _numbers(file: Path, table: pa.Table, name: str) -> npt.NDArray[np.generic]:
     numbers = values.dtype.kind in "iuf" and len(values) == table.num_rows
     if not numbers or not np.isfinite(values).all():
         raise DataError(
-            f"column {name!r} of file {str(file)!r} holds {table[name].type} or "
-            "nothing where a number is expected; copy the file again."
+            f"column {name!r} of file {str(file)!r} holds "
+            f"{cut(str(table[name].type))} or nothing where a number is expected; copy "
+            "the file again."
         )
     return values
 

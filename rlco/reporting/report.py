@@ -156,7 +156,8 @@ def _videos(run_dir: Path) -> str:
         if path.stat().st_size > _VIDEO_LIMIT:
             parts.append(f'<p class="quiet">{name}: videos/{escape(path.name)}</p>')
         else:
-            source = data_address(path.read_bytes(), "video/mp4")
+            with reading(path, what="video"):
+                source = data_address(path.read_bytes(), "video/mp4")
             parts.append(
                 f'<figure><video controls muted loop src="{source}"></video>'
                 f"<figcaption>{name}</figcaption></figure>"

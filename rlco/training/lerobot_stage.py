@@ -30,13 +30,13 @@ class LargeOptions(Protocol):
 
 def statistics_of(folder: str | None) -> Any:
     """Return the statistics of a data set's states and actions, None of none."""
-    from rlco.lerobot_files import read_columns, read_folder
+    from rlco.lerobot_files import LARGEST, read_columns, read_folder
     from rlco.policies.vla.lerobot.inputs import dataset_stats
 
     if folder is None:
         return None
     state, action = "observation.state", "action"
-    columns = read_columns(read_folder(folder), (state, action))
+    columns = read_columns(read_folder(folder), (state, action), largest=LARGEST)
     return dataset_stats(state=columns[state], action=columns[action])
 
 

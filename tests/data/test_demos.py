@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import logging
+import shutil
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 import torch
 from hypothesis import given
@@ -15,6 +19,7 @@ from torchrl.data.vla.schema import validate_vla_tensordict
 
 from rlco.data import DemoWriter, load_demos
 from rlco.data.demos import chunk_indices
+from rlco.data.recorded_task import recorded_task
 from rlco.errors import ConfigError, DataError, OutputExistsError, RlcoError
 from rlco.files import sizes
 from rlco.keys import (
@@ -27,6 +32,7 @@ from rlco.keys import (
     IS_PAD,
     STATE,
 )
+from rlco.lerobot_files import read_folder
 
 REAL = Path(__file__).parents[2].parent / "shared" / "data" / "real" / "lerobot_g1"
 TASKS = ("push red", "push blue")
@@ -266,3 +272,41 @@ def test_a_memory_map_holds_what_memory_does_not(
     monkeypatch.setattr(sizes, "_memory", lambda: 2 * 251)
     mapped = load_demos(demos, chunk=2, memmap=tmp_path / "rows")
     assert mapped.frames()[IMAGE][:, 0, 0, 0].tolist() == [0, 1, 2, 10, 11]
+
+
+# -- Numbers that no training can take -------------------------------------------------
+
+
+def change(root: Path, name: str, **entries: Any) -> None:
+    info = json.loads((root / "meta" / "info.json").read_text())
+    info["features"][name] |= entries
+    (root / "meta" / "info.json").write_text(json.dumps(info))
+
+
+@pytest.mark.parametrize("size", [10**9, 2**62])
+def test_a_declared_size_takes_no_memory(
+    demos: Path, tmp_path: Path, size: int
+) -> None:
+    shutil.copytree(demos, tmp_path / "set")
+    change(tmp_path / "set", "action", shape=[size])
+    message = f"'action' .* holds 2 numbers per frame, but meta/info.json says {size}"
+    with pytest.raises(DataError, match=message):
+        load_demos(tmp_path / "set")
+    with pytest.raises(DataError, match=message):
+        recorded_task({"real_demos": read_folder(tmp_path / "set")})
+
+
+@pytest.mark.parametrize("value", [1e38, -1e300])
+def test_a_number_of_which_float32_has_no_square(
+    demos: Path, tmp_path: Path, value: float
+) -> None:
+    shutil.copytree(demos, tmp_path / "set")
+    (file,) = (tmp_path / "set" / "data").rglob("*.parquet")
+    table = pq.read_table(file)
+    actions = [[0.0, value if row == 3 else 1.0] for row in range(table.num_rows)]
+    place = table.schema.get_field_index("action")
+    pq.write_table(table.set_column(place, "action", pa.array(actions)), file)
+    with pytest.raises(
+        DataError, match=r"'action' \(b\) .* 1 of 5 frames, first in epi"
+    ):
+        load_demos(tmp_path / "set")

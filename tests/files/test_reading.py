@@ -48,8 +48,29 @@ def test_our_own_errors_and_interrupts_go_through() -> None:
 
 def test_a_pipe_is_no_file_that_is_waited_for(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "info.json")
-    with pytest.raises(DataError, match=r"info\.json' is no file; copy it again"):
+    said = r"info\.json' is no file; copy it again"
+    with pytest.raises(DataError, match=said):
         read_json(tmp_path / "info.json")
+    with (
+        pytest.raises(CheckpointError, match=said),
+        reading(tmp_path / "info.json", error=CheckpointError),
+    ):
+        pytest.fail("opened")
+
+
+def test_a_device_is_no_file_and_a_file_beyond_the_memory_is_not_read(
+    tmp_path: Path,
+) -> None:
+    with pytest.raises(DataError, match="'/dev/zero' is no file"):
+        read_yaml(Path("/dev/zero"))
+    with pytest.raises(DataError, match="is no file"):
+        read_yaml(tmp_path)
+    with (tmp_path / "info.json").open("wb") as file:
+        file.truncate(2**42)  # with nothing in it: it takes no place on the disk
+    with pytest.raises(DataError, match=r"is a text of 4398046.5 MB, and at most 160"):
+        read_json(tmp_path / "info.json")
+    with pytest.raises(DataError, match=r"text of .*info\.json' would take 8796"):
+        read_json_lines(tmp_path / "info.json")
 
 
 def test_a_json_text_that_would_fill_a_memory(

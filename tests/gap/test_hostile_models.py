@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -82,6 +83,46 @@ def test_a_large_model_and_a_comment_replicate_nothing(tmp_path: Path) -> None:
         check_text(tmp_path / "a.xml", "<a><replicate count='20001'><b/></a>")
 
 
+# -- Options ----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "option",
+    [
+        "timestep='0'",
+        "timestep='-1'",
+        "timestep='1e-12'",
+        "timestep='1e6'",
+        "timestep='nan'",
+        "gravity='0 nan 0'",
+        "gravity='0 0 1e300'",
+        "iterations='2000000000' tolerance='0'",
+        "density='-1'",
+        "o_solref='nan 1'",
+    ],
+)
+def test_options_that_cannot_be_simulated(tmp_path: Path, option: str) -> None:
+    text = f"<mujoco><option {option}/><worldbody>{BODY}</worldbody></mujoco>"
+    (tmp_path / "model.xml").write_text(text)
+    name = option.partition("=")[0]
+    said = rf"the option {name} of model .*model\.xml' is .* can be simulated; correct"
+    with pytest.raises(RlcoError, match=said):
+        load_model(tmp_path / "model.xml")
+
+
+@pytest.mark.parametrize("asset", ["", "<texture type='2d' builtin='flat' width='8'/>"])
+def test_a_model_leaves_no_log_of_mujoco_s_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, asset: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    body = BODY.replace("name='j'", "name='j' damping='nan'")
+    text = f"<mujoco><asset>{asset}</asset><worldbody>{body}</worldbody></mujoco>"
+    Path("model.xml").write_text(text)
+    with pytest.raises(RlcoError, match="does not compile; MuJoCo says"):
+        load_model("model.xml")
+    assert [file.name for file in tmp_path.iterdir()] == ["model.xml"]
+
+
 # -- Files elsewhere ---------------------------------------------------------------
 
 
@@ -126,6 +167,35 @@ def test_a_model_that_reads_files_elsewhere_is_refused(
     file.write_text(xml)
     with pytest.raises(RlcoError, match=r"outside of .*; if you trust the model, give"):
         load_model(file)
+
+
+@pytest.mark.parametrize(
+    "xml",
+    [
+        "<mujoco><include file='pipe'/></mujoco>",
+        asset("<mesh file='pipe'/>"),
+        asset("<model file='pipe'/>"),
+        asset("<texture fileup='pipe' type='cube'/>"),
+    ],
+)
+def test_a_pipe_that_a_model_reads_is_not_waited_for(tmp_path: Path, xml: str) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "arm.xml").write_text(xml)
+    with pytest.raises(RlcoError, match=r"pipe' is no file; give the model a file"):
+        load_model(tmp_path / "arm.xml")
+
+
+def test_what_lies_elsewhere_is_refused_before_it_is_read(tmp_path: Path) -> None:
+    (tmp_path / "arm").mkdir()
+    (tmp_path / "arm" / "arm.xml").write_text("<a><include file='../huge.xml'/></a>")
+    with (tmp_path / "huge.xml").open("wb") as file:
+        file.truncate(2**42)
+    with pytest.raises(RlcoError, match="outside of"):
+        load_model(tmp_path / "arm" / "arm.xml")
+    with pytest.raises(
+        RlcoError, match=r"huge\.xml' is a text of 4398046.5 MB, and at"
+    ):
+        load_model(tmp_path / "arm" / "arm.xml", root=tmp_path)
 
 
 @pytest.mark.parametrize(

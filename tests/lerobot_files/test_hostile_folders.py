@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import json
+import os
+import shutil
 import tracemalloc
 from collections.abc import Callable
 from pathlib import Path
@@ -19,6 +21,7 @@ import pytest
 from rlco.errors import DataError
 from rlco.files import sizes
 from rlco.lerobot_files import (
+    check_stored_sizes,
     images,
     iterate_images,
     read_columns,
@@ -26,6 +29,7 @@ from rlco.lerobot_files import (
     tables,
 )
 
+FIRST = Path(__file__).parents[1] / "first_edition"
 CAMERA = "observation.images.front"
 STORED = "data/chunk-{episode_chunk:03d}/episode_{episode_index:06d}.parquet"
 
@@ -369,6 +373,36 @@ def test_a_film_as_declared_is_decoded(root: Path) -> None:
     assert frames.shape == (3, 3, 16, 32)
 
 
+# -- Pipes ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["info.json", "tasks.jsonl", "episodes.jsonl"])
+def test_a_pipe_is_not_waited_for(root: Path, name: str) -> None:
+    (root / "meta" / name).unlink()
+    os.mkfifo(root / "meta" / name)
+    with pytest.raises(DataError, match=rf"{name}' is no file|has no meta/{name}"):
+        read_folder(root)
+
+
+@pytest.mark.parametrize(
+    "name", ["tasks.parquet", "episodes/chunk-000/file-000.parquet"]
+)
+def test_a_pipe_in_the_place_of_a_table(tmp_path: Path, name: str) -> None:
+    root = tmp_path / "demos"
+    shutil.copytree(FIRST / "demos" / "sim", root)
+    (root / "meta" / name).unlink()
+    os.mkfifo(root / "meta" / name)
+    with pytest.raises(DataError, match=rf"{name}' is no file"):
+        read_folder(root)
+
+
+def test_a_pipe_in_the_place_of_frames(root: Path) -> None:
+    data_file(root).unlink()
+    os.mkfifo(data_file(root))
+    with pytest.raises(DataError, match=r"\.parquet"):
+        read(root)
+
+
 # -- Types -----------------------------------------------------------------------------
 
 
@@ -458,6 +492,48 @@ def test_a_name_longer_than_messages_are(root: Path) -> None:
     with pytest.raises(DataError, match="has a name of 5000 characters") as caught:
         read_folder(root)
     assert len(str(caught.value)) < 800
+
+
+def test_names_of_numbers_longer_than_messages_are(root: Path) -> None:
+    features = json.loads((root / "meta/info.json").read_text())["features"]
+    features["observation.state"]["names"] = ["x" * 100_000]
+    edit(root, features=features)
+    names = read_folder(root).feature("observation.state").names
+    assert names == ("x" * 197 + "...",)
+
+
+@pytest.mark.parametrize("shape", [[10**12], [2], [10**6, 10**6], [2**62] * 8])
+def test_a_size_is_checked_against_the_file(root: Path, shape: list[int]) -> None:
+    features = json.loads((root / "meta/info.json").read_text())["features"]
+    features["observation.state"]["shape"] = shape
+    edit(root, features=features)
+    folder = read_folder(root)
+    with pytest.raises(DataError, match="holds 1 numbers per frame, but meta/info"):
+        check_stored_sizes(folder, ["observation.state"])
+    # A feature whose name begins with another's is one of its own.
+    column = pa.array([[1.0, 2.0]] * 3)
+    table = pq.read_table(data_file(root)).append_column("observation.state.2", column)
+    pq.write_table(table, data_file(root))
+    with pytest.raises(DataError, match="holds 1 numbers per frame"):
+        check_stored_sizes(folder, ["observation.state"])
+
+
+def test_a_shape_of_dimensions_without_end(root: Path) -> None:
+    features = json.loads((root / "meta/info.json").read_text())["features"]
+    features["observation.state"]["shape"] = [2**62] * 9
+    edit(root, features=features)
+    with pytest.raises(DataError, match="has no proper dtype and shape"):
+        read_folder(root)
+
+
+def test_a_number_beyond_what_is_asked_for_is_located(root: Path) -> None:
+    folder = read_folder(root)
+    names = ["observation.state", "frame_index"]
+    assert set(read_columns(folder, names, largest=2.5)) == set(names)
+    with pytest.raises(DataError, match=r"beyond \+-2 in 1 of 3 frames, .* at frame 2"):
+        read_columns(folder, names, largest=2)
+    with pytest.raises(DataError, match=r"'frame_index' .* is beyond \+-1 in 1 of 3"):
+        read_columns(folder, ["frame_index"], largest=1)
 
 
 def test_a_folder_of_many_features_names_some_of_them(root: Path) -> None:

@@ -46,6 +46,8 @@ def test_a_footer_is_read_as_pyarrow_reads_it(file: Path) -> None:
     found = [(leaf.path, leaf.declared, leaf.plain) for leaf in leaves(file)]
     assert found == expected
     assert len(found) == 3 * 7
+    values = {leaf.column: leaf.values // leaf.rows for leaf in leaves(file)}
+    assert (values["observation.state"], values["action"]) == (3, 2)
 
 
 def test_a_damaged_footer_is_refused_or_read_and_ends_no_process(file: Path) -> None:

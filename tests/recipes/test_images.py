@@ -199,7 +199,7 @@ def test_a_resumed_run_draws_the_same_shifts(seen: Seen, tmp_path: Path) -> None
         ),
         (["image=cnn"], ["'none'", "'conv'", "'mobilenet'"]),
         (["image=mobilenet"], ["image_weights=mobilenet_v2-b0353104.pth"]),
-        (["image=mobilenet", "image_weights=no.pth"], ["cannot read", "'no.pth'"]),
+        (["image=mobilenet", "image_weights=no.pth"], ["is missing", "'no.pth'"]),
         (["image_weights=no.pth"], ["image_weights", "image=mobilenet"]),
         (
             ["camera=robot0_eye_in_hand", "image_size=128"],

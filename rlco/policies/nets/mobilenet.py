@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import pickle
+import warnings
+import zipfile
 from pathlib import Path
 from typing import Any
 
 import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
 from torch import nn
 from torch.nn import functional
 
 from rlco.errors import CheckpointError
+from rlco.files import reading, shown
+from rlco.files.sizes import check_declared
 from rlco.finite import check_loaded
 
 #: The weights that a policy's own file holds.
@@ -104,37 +110,64 @@ class MobileNetMaps(nn.Module):
         self.has_weights = True
 
 
+#: Where the weights come from, for messages.
+_ADVICE = (
+    "give image_weights= the file mobilenet_v2-b0353104.pth that torchvision publishes"
+)
+
+
 def _load(network: nn.Module, path: Path) -> None:
     """Copy a file's weights into a whole MobileNetV2."""
-    advice = (
-        "give image_weights= the file mobilenet_v2-b0353104.pth that torchvision "
-        "publishes"
-    )
-    try:
-        if path.suffix == ".safetensors":
-            from safetensors.torch import load_file
-
-            found = load_file(path)
-        else:
-            found = torch.load(path, map_location="cpu", weights_only=True)
-    except (OSError, ValueError, RuntimeError, EOFError, pickle.UnpicklingError) as e:
-        reason = str(e).splitlines()[0] if str(e) else type(e).__name__
-        raise CheckpointError(
-            f"cannot read the weights {str(path)!r} ({reason}); {advice}."
-        ) from e
-    expected = network.state_dict()
-    given = found if isinstance(found, dict) else {}
+    expected, given = network.state_dict(), _read(path)
     wrong = [
         name
-        for name in sorted(expected.keys() | given.keys())
-        if name not in given
-        or name not in expected
-        or getattr(given[name], "shape", None) != expected[name].shape
+        for name in [*expected, *(given.keys() - expected.keys())]
+        if not _fits(given.get(name), expected.get(name))
     ]
     if wrong:
         raise CheckpointError(
             f"{str(path)!r} holds no weights of MobileNetV2: {len(wrong)} entries "
-            f"differ, first {wrong[0]!r}; {advice}."
+            f"differ, first {shown(wrong[0])}; {_ADVICE}."
         )
-    check_loaded(str(path), given.items(), advice=advice)
+    check_loaded(str(path), given.items(), advice=_ADVICE)
     network.load_state_dict(given)
+
+
+def _read(path: Path) -> dict[Any, Any]:
+    """Return what a file of weights holds; {} where that is no state of a module.
+
+    Nothing but tensors is unpickled. torch's reader of pickles checks little of their
+    order, so that a damaged one raises whatever Python does.
+    """
+    with reading(
+        path,
+        SafetensorError,
+        what="file of weights",
+        advice=_ADVICE,
+        error=CheckpointError,
+    ):
+        if path.suffix == ".safetensors":
+            return load_file(path)
+        if zipfile.is_zipfile(path):
+            with zipfile.ZipFile(path) as archive:
+                declared = sum(entry.file_size for entry in archive.infolist())
+            check_declared(path, declared)
+        try:
+            with warnings.catch_warnings(action="ignore"):
+                found = torch.load(path, map_location="cpu", weights_only=True)
+        except pickle.UnpicklingError as error:  # torch says how to run what is in it
+            raise ValueError("it holds something else than tensors") from error
+    return found if isinstance(found, dict) else {}
+
+
+def _fits(given: Any, expected: torch.Tensor | None) -> bool:
+    """Return whether a value can be copied into a tensor of the network."""
+    return (
+        isinstance(given, torch.Tensor)
+        and expected is not None
+        and given.shape == expected.shape
+        and given.layout == torch.strided
+        and given.device.type == "cpu"  # not "meta", which holds no numbers
+        and given.is_floating_point() == expected.is_floating_point()
+        and not given.is_complex()
+    )

@@ -9,6 +9,9 @@ from torch import nn
 from rlco.errors import ConfigError, DataError, counted
 from rlco.physics.spec.actions import TOLERANCE
 
+#: Half the smallest range of a feature, as a share of its size: eight steps of float32.
+_RELATIVE = 2.0**-20
+
 
 class QuantileNormalizer(nn.Module):
     """Maps raw numbers to about [-1, 1], ``n = 2 (x - low) / (high - low) - 1``.
@@ -87,6 +90,9 @@ class QuantileNormalizer(nn.Module):
         self._check_limit(torch.stack([lower, upper]))
         middle = (lower + upper) / 2
         half = ((upper - lower) / 2).clamp_min(self.min_range / 2)
+        # Of numbers as large as ten million float32 knows no fractions: both ends of
+        # such a range would be one number.
+        half = half.maximum(middle.abs() * _RELATIVE)
         self.low.copy_(middle - half)
         self.high.copy_(middle + half)
 

@@ -92,7 +92,10 @@ class Job:
 def file_hash(path: str) -> str | None:
     """Return the SHA-256 of a file; None: there is none at this path."""
     try:
-        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+        if not Path(path).is_file():  # a pipe would be waited for
+            return None
+        with Path(path).open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except (OSError, ValueError):
         return None
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sqlite3
 from pathlib import Path
 
@@ -50,6 +51,15 @@ DEFAULT = f"""
     {THOUSAND} INSERT INTO messages SELECT x, 1, x FROM n;
     ALTER TABLE messages ADD COLUMN data BLOB DEFAULT x'{"00" * 10_000}';
 """
+
+
+def test_a_pipe_in_a_bag_is_not_waited_for(tmp_path: Path) -> None:
+    bag = write_bag(tmp_path / "bag", {"/joint_states": states()}, "db3")
+    (file,) = bag.glob("*.db3")
+    file.unlink()
+    os.mkfifo(file)
+    with pytest.raises(DataError, match=r"db3' is no file"):
+        read_log(bag)
 
 
 def changed(folder: Path, statements: str) -> Path:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import pickle
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +15,13 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.objectives import ClipPPOLoss
 from torchvision.models import mobilenet_v2
 
-from rlco.errors import CheckpointError, ConfigError, DataError, UnknownNameError
+from rlco.errors import (
+    CheckpointError,
+    ConfigError,
+    DataError,
+    RlcoError,
+    UnknownNameError,
+)
 from rlco.keys import IMAGE, IMAGE_FEATURES, INSTRUCTION_ID
 from rlco.losses import CoTrainingLoss, ImitationLoss, gradient_agreement, log_probs
 from rlco.policies import ImageEncoder, ValueNetwork, load_policy, save_policy
@@ -255,7 +264,7 @@ def test_a_critic_may_see_too() -> None:
         (
             {"kind": "mobilenet", "weights": "nowhere.pth"},
             CheckpointError,
-            "cannot read the weights 'nowhere.pth'.*image_weights=",
+            "file of weights 'nowhere.pth' is missing.*image_weights=",
         ),
     ],
 )
@@ -276,11 +285,67 @@ def test_weights_that_are_not_mobilenets_are_refused(tmp_path: Path) -> None:
     torch.save(weights, spoiled)
     for path, words in (
         (other, "no weights of MobileNetV2"),
-        (broken, "cannot read"),
+        (broken, "is truncated or damaged"),
         (spoiled, "classifier.1.bias is nan"),
     ):
         with pytest.raises(CheckpointError, match=f"{words}.*image_weights="):
             ImageEncoder("mobilenet", (64, 64), weights=str(path))
+
+
+def damaged_weights(folder: Path, weights: Path) -> dict[str, str]:
+    """Return what is said of files and the like, by their names in a folder."""
+    whole = weights.read_bytes()
+    header = b'{"a":{"dtype":"F32","shape":[1000000000],"data_offsets":[0,4000000000]}}'
+    state = torch.load(weights, weights_only=True)
+    bias = state["classifier.1.bias"]
+    for name, content in {
+        "text.pth": b"root:x:0:0:root:/root:/bin/bash\n",
+        "empty.pth": b"",
+        "memo.pth": b"h\x00.",  # of which nothing was put there
+        "stack.pth": b"\x80\x02R.",
+        "code.pth": pickle.dumps(os.getcwd),
+        "cut.pth": whole[: len(whole) // 2],
+        "empty.safetensors": b"",
+        "text.safetensors": b"no weights at all",
+        "more.safetensors": len(header).to_bytes(8, "little") + header,
+        "endless.safetensors": (2**62).to_bytes(8, "little") + b"{}",
+    }.items():
+        (folder / name).write_bytes(content)
+    for name, content in {
+        "keys.pth": {1: bias, "x" * 10_000: None, **state},
+        "tensor.pth": bias,
+        "shape.pth": {**state, "classifier.1.bias": bias[:3]},
+        "integers.pth": {**state, "classifier.1.bias": bias.long()},
+        "sparse.pth": {**state, "classifier.1.bias": bias.to_sparse()},
+        "meta.pth": {**state, "classifier.1.bias": bias.to("meta")},
+    }.items():
+        torch.save(content, folder / name)
+    with zipfile.ZipFile(folder / "other.pth", "w") as archive:
+        archive.writestr("a/readme.txt", "no weights")
+    with zipfile.ZipFile(folder / "bomb.pth", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("a/data.pkl", bytes(300 * 2**20))
+    (folder / "folder.pth").mkdir()
+    os.mkfifo(folder / "pipe.pth")
+    told = dict.fromkeys((file.name for file in folder.iterdir()), "or damaged")
+    others = ("keys", "tensor", "shape", "integers", "sparse", "meta")
+    told |= {f"{name}.pth": "holds no weights of MobileNetV2" for name in others}
+    return told | {
+        "code.pth": "something else than tensors",
+        "bomb.pth": "declares 314.6 MB",
+        "folder.pth": "cannot be read",
+        "pipe.pth": "is no file",
+        "/dev/zero": "is no file",
+    }
+
+
+def test_a_damaged_file_of_weights_is_told_in_one_sentence(
+    tmp_path: Path, weights: str
+) -> None:
+    for name, words in damaged_weights(tmp_path, Path(weights)).items():
+        with pytest.raises(RlcoError, match=words) as caught:
+            ImageEncoder("mobilenet", (64, 64), weights=str(tmp_path / name))
+        assert "\n" not in str(caught.value)
+        assert len(str(caught.value)) < 500
 
 
 def test_mobilenet_never_works_with_weights_drawn_at_random(weights: str) -> None:

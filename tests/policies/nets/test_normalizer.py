@@ -75,6 +75,13 @@ def test_numpy_quantiles_are_taken() -> None:
     torch.testing.assert_close(norm.high, torch.tensor([2.0, 3.0]))
 
 
+@pytest.mark.parametrize("value", [1e7, -1e17])
+def test_a_large_constant_has_a_range_in_float32(value: float) -> None:
+    norm = make([value], [value])
+    assert norm(torch.tensor([value])).abs() < 0.5
+    assert torch.isfinite(norm(torch.tensor([0.0]))).all()
+
+
 @pytest.mark.parametrize(
     ("low", "high", "message"),
     [

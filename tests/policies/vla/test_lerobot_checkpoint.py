@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -146,8 +147,18 @@ def test_a_weight_that_is_not_finite_is_refused(kind: str, tmp_path: Path) -> No
 
 def test_a_missing_weight_file_is_no_random_model(copied: Path) -> None:
     (copied / "model.safetensors").unlink()
-    with pytest.raises(CheckpointError, match="cannot read the weights"):
+    with pytest.raises(CheckpointError, match=r"file of weights .* is (missing|dam)"):
         load_lerobot(copied)
+
+
+def test_a_pipe_in_the_folder_is_not_waited_for(copied: Path) -> None:
+    for name in ("policy_preprocessor.json", "model.safetensors"):
+        (copied / name).unlink()
+        os.mkfifo(copied / name)
+        with pytest.raises(CheckpointError, match=rf"{name}' (is no file|holds no)"):
+            load_lerobot(copied)
+        (copied / name).unlink()
+        shutil.copy(folder("smolvla") / name, copied / name)
 
 
 def test_a_truncated_processor_state_is_told(copied: Path) -> None:

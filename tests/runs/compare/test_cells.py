@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+import os
 from pathlib import Path
 
 import pytest
 
 from rlco.errors import DataError
 from rlco.runs.compare.cells import Cell, Store, read_cell
+from rlco.runs.compare.jobs import file_hash
 from rlco.runs.compare.queue import attempts_of
 
 ROW = {"method": "sft", "domain": "sim", "episodes": 4, "successes": 3}
@@ -33,6 +35,13 @@ def cell(tmp_path: Path) -> Path:
         versions={"torch": "2"},
     ).write(path)
     return path
+
+
+def test_a_pipe_that_an_option_names_is_no_file_to_hash(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    assert file_hash(str(tmp_path / "pipe")) is None
+    (tmp_path / "file").write_bytes(b"abc")
+    assert str(file_hash(str(tmp_path / "file"))).startswith("ba7816bf")
 
 
 def test_a_cell_is_read_as_it_was_written(cell: Path) -> None:

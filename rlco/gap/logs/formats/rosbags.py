@@ -29,6 +29,7 @@ from rosbags.typesys.store import Typestore
 
 from rlco.errors import DataError
 from rlco.files import few, reading
+from rlco.files.reading import check_kind
 from rlco.gap.logs.formats import bag_databases, bag_sizes
 from rlco.gap.logs.formats.headers import WORDS
 from rlco.gap.logs.formats.topics import parse_topic
@@ -138,6 +139,7 @@ def _topics(path: Path) -> dict[str, _Topic]:
     bag_sizes.bound_chunks()
     bag_databases.check_databases()
     if path.is_dir():
+        check_kind(*path.iterdir(), advice="take it away")
         with reading(path, *_OWN, what=what, advice=advice):
             bag_sizes.check_files(path)
     with reading(path, *_OWN, what=what, advice=advice), Reader(path) as bag:

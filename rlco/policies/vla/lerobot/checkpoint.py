@@ -22,7 +22,9 @@ from safetensors.torch import load_file
 from torch import nn
 
 from rlco.errors import CheckpointError
+from rlco.files import reading
 from rlco.files.checksums import verify_folder
+from rlco.files.reading import check_kind
 from rlco.finite import check_loaded
 from rlco.policies.vla.foreign_code import no_foreign_code
 from rlco.policies.vla.lerobot.flow_model import FlowModel
@@ -32,6 +34,7 @@ from rlco.policies.vla.lerobot.smolvla import SmolVLAModel, build_smolvla
 from rlco.policies.vla.lerobot.steps import check_config, check_steps
 
 WEIGHTS = "model.safetensors"
+_FILE = "file of weights"
 
 
 @dataclass
@@ -97,6 +100,12 @@ def load_lerobot(
     config = lerobot_config(path)
     if device is not None:
         config.device = device
+    for one in filter(None, (path, tokenizer)):
+        check_kind(
+            *Path(one).glob("*"),
+            advice="take it away, or copy the folder again, whole",
+            error=CheckpointError,
+        )
     allowed = {allow_code} if isinstance(allow_code, str) else {*allow_code}
     check_steps(path, allowed)
     verify_folder(path)
@@ -255,12 +264,8 @@ def _first_line(error: Exception) -> str:
 def _load_weights(model: FlowModel, file: Path) -> None:
     """Fill the policy; LeRobot's own loading prints what is missing and goes on."""
     policy = model.policy
-    try:
+    with reading(file, SafetensorError, what=_FILE, error=CheckpointError):
         found = load_file(file)
-    except (OSError, SafetensorError) as error:
-        raise CheckpointError(
-            f"cannot read the weights {str(file)!r} ({error}); copy them again."
-        ) from error
     ours = policy.state_dict()
     if isinstance(policy, PI05Policy) and found.keys() != ours.keys():
         # Names of openpi's own.

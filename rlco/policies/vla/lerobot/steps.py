@@ -6,7 +6,6 @@ names are read here, before LeRobot reads them.
 
 from __future__ import annotations
 
-import json
 from collections.abc import Collection, Iterator
 from pathlib import Path
 from typing import Any
@@ -92,10 +91,9 @@ def check_config(file: Path, allow_code: Collection[str] = ()) -> None:
 def _read_steps(file: Path) -> list[dict[str, Any]]:
     """Return a processor's steps, each with a name that is text."""
     try:
-        content = json.loads(file.read_text("utf-8"))
-    except (OSError, ValueError, RecursionError):
-        content = None
-    steps = content.get("steps") if isinstance(content, dict) else None
+        steps = read_json(file, error=CheckpointError).content.get("steps")
+    except CheckpointError:
+        steps = None
     if not isinstance(steps, list) or not all(map(_has_name, steps)):
         raise CheckpointError(
             f"{str(file)!r} holds no list of steps with names; copy the folder again, "

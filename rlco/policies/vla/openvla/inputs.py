@@ -10,6 +10,7 @@ import torch
 from transformers import PreTrainedTokenizerFast
 
 from rlco.errors import CheckpointError, ConfigError
+from rlco.files.reading import check_kind
 from rlco.policies.vla.openvla.config import OpenVLAConfig
 
 PROMPT = "In: What action should the robot take to {}?\nOut:"
@@ -37,6 +38,8 @@ def prompt_tokens(
     """
     if not instructions:
         raise ConfigError(["instructions=[] leaves the policy without a text"])
+    advice = "give the folder of Llama's tokenizer, whole"
+    check_kind(*Path(tokenizer).glob("*"), advice=advice, error=CheckpointError)
     try:
         # Not by AutoTokenizer, which asks config.json for a type that it knows.
         read = PreTrainedTokenizerFast.from_pretrained(
