@@ -198,6 +198,7 @@ def main(config: Config) -> None:
     from rlco.evaluation import evaluation_domains
     from rlco.physics.effects import load_code
     from rlco.physics.tasks.make_task import make_task
+    from rlco.physics.tasks.named_task import check_domains
     from rlco.reporting import plots
     from rlco.reporting.report import write_report
     from rlco.training.stage_one import new_policy
@@ -206,6 +207,7 @@ def main(config: Config) -> None:
     load_code(config.effects_code)
     make_task(config.task)
     (simulator,) = evaluation_domains(config.task, [config.simulator])
+    check_domains(config.task, [] if config.hidden is None else [config.hidden])
     new_policy(stage_one(config))
     with Run(config, "close_loop") as run:
         hidden = run.path / "hidden.yaml"
