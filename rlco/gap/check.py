@@ -18,7 +18,7 @@ from rlco.gap.logs.log import Array
 from rlco.gap.make_problem import make_problem
 from rlco.gap.model import load_model
 from rlco.physics.effects import load_code
-from rlco.physics.effects.apply import compile_with
+from rlco.physics.effects.apply import checked, compile_with
 from rlco.physics.effects.effects_file import read_effects
 from rlco.physics.effects.names import in_model
 
@@ -115,7 +115,12 @@ def check_effects(
     """
     load_code(effects_code)
     loaded = load_model(model, root=model_root)
-    found = in_model(read_effects(effects).renamed(), loaded.model)
+    # A task's controller reads the encoders of its motors.
+    controlled = loaded.task is not None
+    found = [
+        checked(loaded.model, effect, controlled=controlled)
+        for effect in in_model(read_effects(effects).renamed(), loaded.model)
+    ]
     compile_with(loaded.spec, found)
     log = read_log(data, loaded, rename=rename, scale=scale, angles=angles)
     asked, _ = chosen(log, compare)

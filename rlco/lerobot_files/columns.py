@@ -183,10 +183,10 @@ def _check_finite(
 ) -> None:
     if column.dtype.kind == "b":
         return
-    flat = column.reshape(len(column), -1)
-    broken = ~((flat >= -largest) & (flat <= largest))
-    if math.isinf(largest):
-        broken = ~np.isfinite(flat)
+    flat = column.reshape(len(column), math.prod(column.shape[1:]))
+    broken = ~np.isfinite(flat)
+    if math.isfinite(largest):
+        broken |= np.abs(flat.astype(np.float64)) > largest
     bad = broken.any(axis=1)
     if not bad.any():
         return

@@ -14,6 +14,7 @@ from rlco.errors import RlcoError
 from rlco.gap import check_effects
 from rlco.gap.logs.log import Log
 from rlco.physics.effects import AppliedEffect
+from rlco.physics.effects.apply import EffectError
 from rlco.physics.effects.effects_file import write_effects
 
 DAMPING = AppliedEffect("viscous_damping", "elbow", {"damping": 0.5})
@@ -77,6 +78,32 @@ def test_effects_of_another_robot_are_refused(
     write_effects(tmp_path / "effects.yaml", [wrist])
     with pytest.raises(RlcoError, match=r"unknown target .*'wrist'; known: shoulder, "):
         check_effects(*robot, tmp_path / "effects.yaml")
+
+
+@pytest.mark.parametrize(
+    ("name", "target", "numbers", "said"),
+    [
+        ("command_delay", None, {"delay": -1.0}, "delay=-1 s cannot be so small"),
+        ("command_delay", None, {"delay": 1e9}, r"delay=1e\+09 s is beyond 60 s"),
+        ("coulomb_friction", "elbow", {"frictionloss": -5.0}, "less than none"),
+        ("armature", "elbow", {"armature": -1e6}, "less than none"),
+        ("viscous_damping", "elbow", {"damping": -1e300}, "is beyond"),
+        ("joint_offset", "elbow", {"offset": 1e300}, "is beyond 300000 rad"),
+        ("encoder_scale", "elbow", {"factor": 0.0}, "give a number above 0"),
+        ("scene_mass", None, {"factor": 0.0}, "only rlco's own tasks read it"),
+    ],
+)
+def test_what_no_robot_has_is_refused_before_the_log_is_read(
+    robot: tuple[Path, Path],
+    tmp_path: Path,
+    name: str,
+    target: str | None,
+    numbers: dict[str, float],
+    said: str,
+) -> None:
+    write_effects(tmp_path / "effects.yaml", [AppliedEffect(name, target, numbers)])
+    with pytest.raises(EffectError, match=said):
+        check_effects(robot[0], "no log", tmp_path / "effects.yaml")
 
 
 def test_a_comparison_that_the_log_does_not_allow_is_refused(

@@ -21,6 +21,8 @@ from recipe_cases import (
 )
 
 from rlco.lerobot_files import UNFINISHED_MARK
+from rlco.physics.effects import AppliedEffect
+from rlco.physics.effects.effects_file import write_effects
 
 Capture = pytest.CaptureFixture[str]
 
@@ -129,6 +131,14 @@ def test_no_file_and_no_folder_is_no_log(capsys: Capture, tmp_path: Path) -> Non
     given = [f"model={tmp_path / 'arm.xml'}", "data=/dev/null"]
     line = refused(capsys, "find_gap", *given, f"out={tmp_path / 'out'}")
     assert "'/dev/null' is no file and no folder" in line
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_hidden_effect_that_no_robot_has(capsys: Capture, tmp_path: Path) -> None:
+    late = [AppliedEffect("command_delay", None, {"delay": -1.0})]
+    write_effects(tmp_path / "late.yaml", late)
+    given = [f"hidden={tmp_path / 'late.yaml'}", f"out={tmp_path / 'out'}"]
+    assert "delay=-1 s cannot be so small" in refused(capsys, "close_loop", *given)
     assert not (tmp_path / "out").exists()
 
 

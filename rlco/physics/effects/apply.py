@@ -20,7 +20,8 @@ import numpy as np
 from rlco.errors import RlcoError, UnknownNameError
 from rlco.files.reading import reason
 from rlco.physics.effects import EFFECTS, AppliedEffect, Effect
-from rlco.physics.effects.effect import Array, ControllerTiming, joint_of
+from rlco.physics.effects.effect import Array, ControllerTiming, Parameter, joint_of
+from rlco.physics.effects.scene import FACTOR
 from rlco.physics.effects.step_forces import LawAt, StepForces, table_of
 from rlco.physics.effects.targets import (
     ONE_AXIS,
@@ -78,8 +79,8 @@ def checked(
     Raises:
         UnknownNameError: If there is no such effect.
         EffectError: If the model has no such target, parameters are missing, unknown
-            or not finite, one would take away more than the model has, or the effect
-            cannot have them.
+            or not finite, one is too large or small for any robot or would take away
+            more than the model has, or the effect cannot have them.
     """
     known = library_effect(effect.name)
     allowed = known.targets(model)
@@ -106,28 +107,35 @@ def checked(
                 effect.name, effect.target, f"{name} is {value}", "give a finite number"
             )
     for parameter in parameters:
-        value, low = effect.parameters[parameter.name], parameter.low
-        # What a model has may become less, as far as there is some.
-        added = parameter.present is None and parameter.unit
-        if added and (value < 0.0 <= low or value == 0.0 < low):
-            raise EffectError(
-                effect.name,
-                effect.target,
-                f"{parameter.name}={value:g} {parameter.unit} cannot be so small",
-                "give a number above 0" if low > 0.0 else "give 0 or more",
-            )
-        if parameter.present is not None and parameter.after(value) < 0.0:
-            raise EffectError(
-                effect.name,
-                effect.target,
-                f"{parameter.name}={value:g} would leave the model with "
-                f"{parameter.after(value):g}, less than none",
-                "give a larger number",
-            )
+        why = _impossible(parameter, effect.parameters[parameter.name])
+        if why is not None:
+            raise EffectError(effect.name, effect.target, *why)
     found = replace(effect, parameters={n: float(effect.parameters[n]) for n in names})
     if known.refuse is not None and (why := known.refuse(found.values)) is not None:
         raise EffectError(effect.name, effect.target, *why)
     return found
+
+
+def _impossible(parameter: Parameter, value: float) -> tuple[str, str] | None:
+    """Return why no robot has a value of a parameter, and what to do; None if one may.
+
+    Bounds of a search are no bounds of what may be given, but for their sign: what is
+    searched from 0 upwards is never below.
+    """
+    given = f"{parameter.name}={value:g} {parameter.unit}".rstrip()
+    if abs(value) > parameter.largest:
+        largest = f"{parameter.largest:g} {parameter.unit}".rstrip()
+        return f"{given} is beyond {largest}", "give a smaller number"
+    if parameter.present is None:
+        low = parameter.low
+        if value < 0.0 <= low or value == 0.0 < low:
+            advice = "give a number above 0" if low > 0.0 else "give 0 or more"
+            return f"{given} cannot be so small", advice
+    elif parameter.after(value) < 0.0:
+        # What a model has may become less, as far as there is some.
+        left = f"would leave the model with {parameter.after(value):g}, less than none"
+        return f"{parameter.name}={value:g} {left}", "give a larger number"
+    return None
 
 
 def check_of_task(effect: AppliedEffect) -> None:
@@ -143,8 +151,9 @@ def check_of_task(effect: AppliedEffect) -> None:
         given = ", ".join(effect.parameters) or "none"
         reason = f"its only parameter is factor, given: {given}"
         advice = "give it a number"
-    elif not (np.isfinite(factor) and factor > 0.0):
-        reason, advice = f"factor is {factor}", "give a number above 0"
+    elif not 0.0 < factor <= FACTOR.largest:
+        reason = f"factor is {factor:g}"
+        advice = f"give a number above 0, of at most {FACTOR.largest:g}"
     else:
         return
     raise EffectError(effect.name, effect.target, reason, advice)

@@ -18,6 +18,7 @@ from rlco.physics.effects.effect import (
 )
 from rlco.physics.effects.targets import servo_joints
 
+_LONGEST = 60.0  # s that a command may be on its way, or held
 _QUANTILES = 1024  # of a random delay's distribution
 
 
@@ -28,7 +29,7 @@ def _command_delay_targets(model: mujoco.MjModel) -> tuple[str | None, ...]:
 def _command_delay_parameters(
     model: mujoco.MjModel, target: str | None
 ) -> tuple[Parameter, ...]:
-    return (Parameter("delay", "s", 0.0, 0.4, 0.0, (0.02, 0.08)),)
+    return (Parameter("delay", "s", 0.0, 0.4, 0.0, (0.02, 0.08), most=_LONGEST),)
 
 
 def _command_delay_on_command(
@@ -69,8 +70,8 @@ def _random_delay_parameters(
     model: mujoco.MjModel, target: str | None
 ) -> tuple[Parameter, ...]:
     return (
-        Parameter("mean", "s", 0.0, 0.4, 0.0, (0.02, 0.08)),
-        Parameter("spread", "s", 0.0, 0.2, 0.0, (0.01, 0.04)),
+        Parameter("mean", "s", 0.0, 0.4, 0.0, (0.02, 0.08), most=_LONGEST),
+        Parameter("spread", "s", 0.0, 0.2, 0.0, (0.01, 0.04), most=_LONGEST),
     )
 
 
@@ -246,7 +247,8 @@ def _control_rate_parameters(
     # A period a few milliseconds off gets out of phase within a recording.
     starts = tuple(float(start) for start in np.arange(2, 26) / 100)
     step = float(model.opt.timestep)
-    return (Parameter("period", "s", 0.0, 0.5, 0.0, starts, False, step),)
+    size = ("period", "s", 0.0, 0.5, 0.0, starts, False, step)
+    return (Parameter(*size, most=_LONGEST),)
 
 
 def _control_rate_on_command(

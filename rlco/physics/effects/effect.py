@@ -26,6 +26,7 @@ Site = Literal["model", "command", "goal", "reading", "step"]
 #: a bench, the tool and the objects of a task, a body in flight.
 Evidence = Literal["positions", "torques", "servo", "task", "flight"]
 COMMON: tuple[Evidence, ...] = ("positions", "torques", "servo", "task")
+_BEYOND = 1e6  # times what is searched
 LAST = 100  # position on the path of a command, where an effect names no other
 
 
@@ -64,6 +65,8 @@ class Parameter:
             None where that is nothing, or not one number.
         step: Change at which a derivative is taken; 0: a share of the value and of the
             starts, which for the number of waves along a path would be far too much.
+        most: Largest magnitude that may be given, beyond what is searched; None: a
+            million times that.
     """
 
     name: str
@@ -76,6 +79,19 @@ class Parameter:
     resolution: float = 0.0
     present: Present | None = None
     step: float = 0.0
+    most: float | None = None
+
+    @property
+    def largest(self) -> float:
+        """The largest magnitude that may be given: what is beyond only overflows.
+
+        Example:
+            >>> Parameter("offset", "rad", -0.3, 0.3, 0.0, (0.01,)).largest
+            300000.0
+        """
+        if self.most is not None:
+            return self.most
+        return _BEYOND * max(abs(self.low), abs(self.high), abs(self.neutral))
 
     def after(self, value: float) -> float:
         """Return what the model has with a value of it; that, where nothing is present.

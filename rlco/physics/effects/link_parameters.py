@@ -25,12 +25,15 @@ from rlco.physics.effects.targets import joints, moving_bodies
 LINK_NUMBERS = ("mass", "dx", "dy", "dz", "sxy", "sxz", "syz", "x", "y", "z")
 _LEAST_MOMENT = 1e-9  # of a link that is a line or a plane, over its largest
 _LEAST_MASS = 1e-6  # [kg]
+_MOST = 20.0  # of a number: a mass of e^40 times the model's is that of a mountain
 
 
 def _link_parameters(
     model: mujoco.MjModel, target: str | None
 ) -> tuple[Parameter, ...]:
-    return tuple(Parameter(name, "", -3.0, 3.0, 0.0, (0.1,)) for name in LINK_NUMBERS)
+    return tuple(
+        Parameter(name, "", -3.0, 3.0, 0.0, (0.1,), most=_MOST) for name in LINK_NUMBERS
+    )
 
 
 def changed_link(

@@ -16,8 +16,11 @@ def _nothing(model: mujoco.MjModel) -> tuple[str | None, ...]:
     return ()
 
 
+FACTOR = Parameter("factor", "", 0.05, 20.0, 1.0, (0.5, 2.0))
+
+
 def _factor(model: mujoco.MjModel, target: str | None) -> tuple[Parameter, ...]:
-    return (Parameter("factor", "", 0.05, 20.0, 1.0, (0.5, 2.0)),)
+    return (FACTOR,)
 
 
 def _of_task(name: str, summary: str, signature: str) -> Effect:

@@ -11,17 +11,25 @@ import numpy as np
 import pytest
 
 from rlco.errors import RlcoError, UnknownNameError
-from rlco.physics.effects import EFFECTS, AppliedEffect, register, searched
+from rlco.physics.effects import (
+    EFFECTS,
+    AppliedEffect,
+    Parameter,
+    register,
+    searched,
+)
 from rlco.physics.effects.apply import (
     EffectError,
     apply_to_commands,
     apply_to_measurement,
     apply_to_spec,
+    check_of_task,
     checked,
     library_effect,
     step_forces,
     true_positions,
 )
+from rlco.physics.effects.link_parameters import LINK_NUMBERS
 from rlco.physics.effects.names import in_model, plain_name
 from rlco.physics.effects.step_forces import law_value
 
@@ -228,6 +236,25 @@ def test_numbers_come_in_the_librarys_order() -> None:
             effect("stribeck_friction", "robot0_elbow", static=1.0, speed=0.0),
             "speed=0 rad/s cannot be so small; give a number above 0",
         ),
+        (effect("control_rate", None, period=1e300), "period=1e.300 s is beyond 60 s;"),
+        (
+            effect("armature", "robot0_elbow", armature=1e300),
+            r"beyond \S+ kg m\^2; give",
+        ),
+        (
+            effect("load_friction", "robot0_elbow", ratio=-0.1),
+            "ratio=-0.1 cannot be so",
+        ),
+        (
+            effect("encoder_scale", "robot0_elbow", factor=0.0),
+            "factor=0 cannot be so small; give a number above 0",
+        ),
+        (
+            effect(
+                "link_parameters", "robot0_lower", **dict.fromkeys(LINK_NUMBERS, 50.0)
+            ),
+            "mass=50 is beyond 20; give a smaller number",
+        ),
         (effect("armature", "knee", armature=1.0), "can act on robot0_shoulder, rob"),
         (effect("gravity_tilt", "robot0_elbow", roll=0, pitch=0), "the whole robot"),
         (effect("object_mass", "robot0_lower", factor=2), "nothing that it acts on"),
@@ -240,6 +267,36 @@ def test_numbers_come_in_the_librarys_order() -> None:
 def test_what_does_not_fit_is_refused(wrong: AppliedEffect, message: str) -> None:
     with pytest.raises(RlcoError, match=message):
         checked(model(), wrong)
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, 1e300, np.nan, np.inf])
+def test_a_factor_of_a_scene_is_above_0_and_a_number(factor: float) -> None:
+    with pytest.raises(EffectError, match=r"factor is \S+; give a number above 0, of"):
+        check_of_task(effect("scene_mass", None, factor=factor))
+    check_of_task(effect("scene_mass", None, factor=1e3))
+
+
+def test_an_effect_of_ones_own_may_be_given_beyond_what_is_searched() -> None:
+    mine = replace(
+        EFFECTS["torque_bias"],
+        name="mine",
+        parameters=lambda model, target: (
+            Parameter("torque", "N m", -1.0, 1.0, 0.0, (0.1,)),
+            Parameter("share", "", -1.0, 1.0, 0.0, (0.1,), most=5.0),
+        ),
+    )
+    register(mine)
+    try:
+        given = effect("mine", "robot0_elbow", torque=-9e5, share=-5.0)
+        assert checked(model(), given) == given
+        with pytest.raises(
+            EffectError, match=r"torque=2e\+06 N m is beyond 1e\+06 N m"
+        ):
+            checked(model(), effect("mine", "robot0_elbow", torque=2e6, share=0.0))
+        with pytest.raises(EffectError, match="share=6 is beyond 5"):
+            checked(model(), effect("mine", "robot0_elbow", torque=0.0, share=6.0))
+    finally:
+        del EFFECTS["mine"]
 
 
 def test_a_model_may_have_less_friction_and_not_less_than_none() -> None:

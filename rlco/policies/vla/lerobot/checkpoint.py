@@ -100,9 +100,9 @@ def load_lerobot(
     config = lerobot_config(path)
     if device is not None:
         config.device = device
-    for one in filter(None, (path, tokenizer)):
+    for one in (path, path if tokenizer is None else Path(tokenizer)):
         check_kind(
-            *Path(one).glob("*"),
+            *one.glob("*"),
             advice="take it away, or copy the folder again, whole",
             error=CheckpointError,
         )
