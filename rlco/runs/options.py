@@ -246,16 +246,16 @@ class Option:
             return next((text for text in found if text), None)
         if not isinstance(value, int | float):
             return None
-        if isinstance(value, int) and abs(value) > _LARGEST:
-            return f"{shown(value)} is beyond the largest number allowed, {_LARGEST}"
-        if math.isnan(value):
+        if isinstance(value, float) and math.isnan(value):
             return "nan is not a number"
-        if math.isinf(value) and not self.infinite:
+        if isinstance(value, float) and math.isinf(value) and not self.infinite:
             return f"{shown(value)} is not a finite number"
         if self.minimum is not None and value < self.minimum:
             return f"{shown(value)} is below the least allowed, {self.minimum!r}"
         if self.maximum is not None and value > self.maximum:
             return f"{shown(value)} is above the greatest allowed, {self.maximum!r}"
+        if isinstance(value, int) and abs(value) > _LARGEST:
+            return f"{shown(value)} is beyond what numbers of 64 bits hold"
         return None
 
 
