@@ -47,6 +47,8 @@ def test_two_evaluations_are_compared(
     below = f"out={a / 'results.json' / 'under'}"
     words = refused(capsys, "compare_results", f"a={a}", f"b={b}", below)
     assert "cannot be made (Not a directory)" in words
+    words = refused(capsys, "compare_results", f"a={a}", f"b={b}", "out=/proc/x")
+    assert "cannot be made (No such file or directory)" in words  # root has rights
 
 
 def test_the_same_name_is_told_apart(
