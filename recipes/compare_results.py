@@ -16,7 +16,7 @@ from pathlib import Path
 from rlco.errors import printable
 from rlco.run import run_recipe
 from rlco.runs.config import REQUIRED, option
-from rlco.runs.whole_files import check_new_folder, write_json, write_text
+from rlco.runs.whole_files import check_new_folder, whole_folder, write_json, write_text
 
 log = logging.getLogger("rlco.compare_results")
 
@@ -53,12 +53,11 @@ def main(config: Config) -> None:
     for note in said:
         log.info("%s", note)
     if config.out is not None:
-        out = Path(config.out)
-        out.mkdir(parents=True)
-        write_text(out / "table.md", text + "\n")
         rows = [one._asdict() for one in found]
         numbers = {"a": names[0], "b": names[1], "notes": said, "rows": rows}
-        write_json(out / "comparison.json", numbers)
+        with whole_folder(config.out) as part:
+            write_text(part / "table.md", text + "\n")
+            write_json(part / "comparison.json", numbers)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from rlco.errors import DataError
 from rlco.runs.compare.code_version import ROOT, code_version, read_code, sources
 
 SOURCE = '''"""A script."""
@@ -71,6 +72,19 @@ def test_another_line_of_code_is_another_version(
 ) -> None:
     code = read_code(script)
     (script.parent / file).write_text(text)
+    assert code.has_changed()
+
+
+@pytest.mark.parametrize("file", ["script.py", "late.py"])
+def test_code_that_cannot_be_read_any_more_is_another_version(
+    script: Path, file: str
+) -> None:
+    code = read_code(script)
+    (script.parent / file).write_text("def (:")
+    assert code.has_changed()
+    with pytest.raises(DataError, match=f"{file}' cannot be read as Python"):
+        code_version(script)
+    (script.parent / file).unlink()
     assert code.has_changed()
 
 

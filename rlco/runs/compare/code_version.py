@@ -10,10 +10,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import rlco
+from rlco.errors import DataError
+from rlco.files import reading
+from rlco.files.reading import reason
 
 #: The folder that holds the package rlco.
 ROOT = Path(rlco.__file__).parent.parent
 
+#: Bytes of a file: its tree takes some hundred times as many.
+_LONGEST = 2_000_000
+_ADVICE = "correct it, or give another one"
 _DOCUMENTED = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
 
 
@@ -36,11 +42,18 @@ class Code:
         # To hash it takes seconds of a processor, to look at its files does not.
         if all(_stamp(path) == stamp for path, stamp in self.stamps.items()):
             return False
-        return code_version(self.script) != self.version
+        try:
+            return code_version(self.script) != self.version
+        except (DataError, OSError):  # what cannot be read now could be, before
+            return True
 
 
 def read_code(script: Path) -> Code:
-    """Return the code that a script runs now."""
+    """Return the code that a script runs now.
+
+    Raises:
+        DataError: One of its files cannot be read as Python.
+    """
     files = sources(script)
     stamps = {path: _stamp(path) for path in files.values()}
     return Code(script, _version(files), stamps)
@@ -58,14 +71,26 @@ def code_version(script: Path) -> str:
 
     Returns:
         64 hexadecimal digits.
+
+    Raises:
+        DataError: One of its files cannot be read as Python.
     """
     return _version(sources(script))
+
+
+def check_python(script: Path) -> None:
+    """Check that a script can be read as Python; what it imports is not looked at.
+
+    Raises:
+        DataError: It cannot.
+    """
+    _parsed(_content(script), script)
 
 
 def _version(files: Mapping[str, Path]) -> str:
     digest = hashlib.sha256()
     for name, path in sorted(files.items()):
-        digest.update(f"{name}\n{_parsed(path.read_bytes(), path).text}\n".encode())
+        digest.update(f"{name}\n{_parsed(_content(path), path).text}\n".encode())
     return digest.hexdigest()
 
 
@@ -86,7 +111,7 @@ def sources(script: Path) -> dict[str, Path]:
     while waiting:
         path = waiting.pop()
         found[_name(path, roots)] = path
-        content = path.read_bytes()
+        content = _content(path)
         fresh = _imported(content, path, roots) - modules
         modules |= fresh
         further = {package[module] for module in fresh & package.keys()}
@@ -146,9 +171,33 @@ class _Parsed:
     text: str
 
 
+def _content(path: Path) -> bytes:
+    with reading(path, advice=_ADVICE):
+        if (size := path.stat().st_size) > _LONGEST:
+            raise DataError(
+                f"file {str(path)!r} is of {size} bytes, and at most {_LONGEST} are "
+                f"read; {_ADVICE}."
+            )
+        return path.read_bytes()
+
+
 # Scripts of an experiment share most of their files: each is parsed once.
 @functools.cache
 def _parsed(content: bytes, path: Path) -> _Parsed:
+    """Parse a file.
+
+    Raises:
+        DataError: It is no Python, or nested too deeply to be looked through.
+    """
+    try:
+        return _parse(content, path)
+    except (SyntaxError, ValueError, RecursionError, MemoryError) as error:
+        raise DataError(
+            f"file {str(path)!r} cannot be read as Python ({reason(error)}); {_ADVICE}."
+        ) from error
+
+
+def _parse(content: bytes, path: Path) -> _Parsed:
     tree = ast.parse(content, str(path))
     nodes = list(ast.walk(tree))
     imports = tuple(node for node in nodes if isinstance(node, Import))

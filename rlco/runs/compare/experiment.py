@@ -159,6 +159,19 @@ def value_name(value: Any) -> str:
     return Path(text).stem if text.endswith(".yaml") else text
 
 
+def named_in(label: str, over: Mapping[str, tuple[Any, ...]]) -> list[str]:
+    """Return the variables that a label names, each once.
+
+    Example:
+        >>> named_in("beta {beta}", {"beta": (0, 0.2), "seed": (1,)})
+        ['beta']
+    """
+    try:
+        return [name for name in dict.fromkeys(names_in(label)) if name in over]
+    except ValueError:
+        return []  # what is wrong in it is reported where it is read
+
+
 def labels_of(label: str, over: Mapping[str, tuple[Any, ...]]) -> list[str]:
     """Return a label with all values of the variables that it names.
 
@@ -166,11 +179,11 @@ def labels_of(label: str, over: Mapping[str, tuple[Any, ...]]) -> list[str]:
         >>> labels_of("beta {beta}", {"beta": (0, 0.2), "seed": (1,)})
         ['beta 0', 'beta 0.2']
     """
+    names = named_in(label, over)
     try:
-        names = [name for name in dict.fromkeys(names_in(label)) if name in over]
         return [
             filled(label, dict(zip(names, values, strict=True)))
             for values in itertools.product(*(over[name] for name in names))
         ]
-    except (ValueError, KeyError):
-        return []  # what is wrong in it is reported where it is read
+    except (ValueError, LookupError, OverflowError):
+        return []  # as above

@@ -47,8 +47,7 @@ class Job:
 
         It names the job and the values: ``rl_beta0.2_seed3``.
         """
-        values = [f"{name}{plain(value)}" for name, value in self.values.items()]
-        return re.sub(r"[^\w.+-]+", "-", "_".join([self.kind.name, *values]))
+        return job_name(self.kind.name, self.values)
 
     @property
     def folder(self) -> str:
@@ -89,10 +88,28 @@ class Job:
         return value if digest is None else f"file:{digest}"
 
 
+def job_name(kind: str, values: Mapping[str, Any]) -> str:
+    """Return what a job of some values is called, see `Job.name`.
+
+    Example:
+        >>> job_name("rl", {"domain": "domains/yaw30.yaml", "seed": 3})
+        'rl_domaindomains-yaw30.yaml_seed3'
+    """
+    parts = [kind, *(f"{name}{plain(value)}" for name, value in values.items())]
+    return re.sub(r"[^\w.+-]+", "-", "_".join(parts))
+
+
 def file_hash(path: str) -> str | None:
-    """Return the SHA-256 of a file; None: there is none at this path."""
+    """Return the SHA-256 of a file; None: there is none at this path.
+
+    Devices and pipes are none, nor what the kernel makes up: some of them never end.
+    """
+    place = Path(path)
     try:
-        return hashlib.sha256(Path(path).read_bytes()).hexdigest()
+        if not place.is_file() or place.resolve().is_relative_to("/proc"):
+            return None
+        with place.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
     except (OSError, ValueError):
         return None
 

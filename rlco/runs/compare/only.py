@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from rlco.errors import ConfigError
+from rlco.files import few, shown
 from rlco.runs.compare.experiment import Experiment
 from rlco.runs.compare.jobs import Job
 from rlco.runs.compare.templates import plain
@@ -26,19 +27,20 @@ def only(
     """
     wanted: dict[str, set[str]] = {}
     problems = []
-    for given in values:
+    for given in map(str, values):  # brackets in brackets are a list in it
         name, sign, value = given.partition("=")
+        what = f"only={shown(given)}"
         if not sign or name not in experiment.over:
             problems.append(
-                f"only={given!r} is no variable and value; give NAME=VALUE, NAME one "
-                f"of {', '.join(experiment.over)}"
+                f"{what} is no variable and value; give NAME=VALUE, NAME one of "
+                f"{few([*experiment.over])}"
             )
             continue
         known = [str(plain(each)) for each in experiment.over[name]]
         if value not in known:
             problems.append(
-                f"only={given!r}: the experiment has no such value of {name}; it has "
-                f"{', '.join(known)}"
+                f"{what}: the experiment has no such value of {name}; it has "
+                f"{few(known)}"
             )
         wanted.setdefault(name, set()).add(value)
     if problems:

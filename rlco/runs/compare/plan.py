@@ -46,6 +46,8 @@ def _needs_first(jobs: Sequence[Job]) -> list[Job]:
     chosen = set(jobs)
 
     def add(job: Job) -> None:
+        if job in found:  # looked through already, with all that it needs
+            return
         for need in job.needs.values():
             if need in chosen:
                 add(need)

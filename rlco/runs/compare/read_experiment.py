@@ -7,20 +7,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from datetime import date
 from pathlib import Path
 from typing import Any
 
 from rlco.errors import ConfigError, DataError
-from rlco.files import read_yaml
-from rlco.runs.compare.code_version import ROOT
-from rlco.runs.compare.experiment import Experiment, JobKind, Without, value_name
+from rlco.files import read_yaml, shown
+from rlco.files.reading import cut
+from rlco.runs.compare.experiment import Experiment, Without, value_name
 from rlco.runs.compare.jobs import file_hash
+from rlco.runs.compare.limits import MOST_VALUES, check_without
+from rlco.runs.compare.plain_values import unusable
 from rlco.runs.compare.problems import Problems
+from rlco.runs.compare.read_jobs import read_jobs
 from rlco.runs.compare.read_table import read_table
-from rlco.runs.compare.templates import flat
-
-#: Options that the runner gives itself, and one whose file it could not hash.
-_OWN = ("out", "resume", "config")
+from rlco.runs.compare.templates import plain
+from rlco.runs.options import folder_name
 
 
 def read_experiment(path: Path) -> Experiment:
@@ -62,28 +64,28 @@ def read_experiment(path: Path) -> Experiment:
           # is the one of that gap in every table. What others reported stands beside:
           # published: [{source: a paper, at: {gap: yaw0}, success: {sft: 0.4}}]
 
-    ``{seed}`` is a variable's value; ``{sft}`` the run folder of the job ``sft`` with
-    the same values of the variables that it has. A job may need those written above it.
+    ``{seed}`` is a variable's value, ``{seed:03d}`` with a format; ``{sft}`` the run
+    folder of the job ``sft`` with the same values of the variables that it has. A job
+    may need those written above it.
 
     Raises:
         ConfigError: Everything that is wrong in the file.
     """
-    content = _content(path)
-    reader = _Reader(path)
-    reader.problems.known(
+    content, problems = _content(path), Problems()
+    # What is wrong with single values would also be in the way of all else.
+    problems.extend(unusable(content))
+    problems.refuse(path)
+    problems.known(
         content, ("name", "over", "without", "files", "jobs", "table"), "the file"
     )
-    name = content.get("name", path.stem)
-    over = reader.over(content.get("over"))
-    without = reader.without(content.get("without") or [], over)
-    files = reader.files(content["files"]) if "files" in content else {}
-    jobs = reader.jobs(content.get("jobs"), over)
-    table = read_table(reader.problems, content.get("table"), over, jobs)
-    if reader.problems.found:
-        raise ConfigError(
-            [f"in {path}: {problem}" for problem in reader.problems.found]
-        )
-    return Experiment(str(name), over, jobs, table, without, files)
+    name = _name(problems, content.get("name", path.stem))
+    over = _over(problems, content.get("over"))
+    without = _without(problems, content.get("without") or [], over)
+    files = _files(problems, content["files"]) if "files" in content else {}
+    jobs = read_jobs(problems, content.get("jobs"), over, path.parent)
+    table = read_table(problems, content.get("table"), over, jobs)
+    problems.refuse(path)
+    return Experiment(name, over, jobs, table, without, files)
 
 
 def _content(path: Path) -> dict[str, Any]:
@@ -96,150 +98,83 @@ def _content(path: Path) -> dict[str, Any]:
     return content
 
 
-class _Reader:
-    """Reads the parts of a file and collects what is wrong in them."""
+def _name(problems: Problems, given: Any) -> str:
+    """Return what the experiment is called, and the folder of its jobs."""
+    name = problems.text(given, "name")
+    if (wrong := folder_name(name)) is not None or name in (".", ".."):
+        problems.add(f"name: {wrong or f'{name!r} is a folder itself'}; give another")
+    return name
 
-    def __init__(self, path: Path) -> None:
-        self.folder = path.parent
-        self.problems = Problems()
 
-    def over(self, given: Any) -> dict[str, tuple[Any, ...]]:
-        """Return the values of each variable."""
-        found = {}
-        for name, values in self.problems.mapping(given, "over").items():
-            if not isinstance(values, list) or not values:
-                self.problems.found.append(f"over {name} is no list of values")
-            elif any(isinstance(value, list | dict) for value in values):
-                self.problems.found.append(
-                    f"over {name} holds lists; give single values"
-                )
-            elif len({value_name(value) for value in values}) < len(values):
-                self.problems.found.append(f"over {name} holds a value twice")
-            elif not name.isidentifier():
-                self.problems.found.append(
-                    f"over {name!r} is no name; use letters and _"
-                )
-            else:
-                found[name] = tuple(values)
-        return found
-
-    def without(
-        self, given: Any, over: Mapping[str, tuple[Any, ...]]
-    ) -> tuple[Without, ...]:
-        """Return the combinations that are not run."""
-        found = []
-        for one in given if isinstance(given, list) else [given]:
-            if not (isinstance(one, dict) and one):
-                self.problems.found.append(
-                    f"without holds {one!r}, which is no mapping of variables to values"
-                )
-                continue
-            self.problems.known(one, list(over), "without")
-            values = {
-                str(name): tuple(each) if isinstance(each, list) else (each,)
-                for name, each in one.items()
-            }
-            self.problems.found += [
-                f"without has {name}: {value!r}, which is no value of it; known: "
-                f"{', '.join(map(str, over[name]))}"
-                for name, each in values.items()
-                for value in each
-                if name in over and value not in over[name]
-            ]
-            found.append(values)
-        return tuple(found)
-
-    def files(self, given: Any) -> dict[str, str]:
-        """Return the SHA-256 of files that may be absent."""
-        found = {}
-        for path, value in self.problems.mapping(given, "files").items():
-            digest, present = str(value), file_hash(path)
-            if not re.fullmatch(r"[0-9a-f]{64}", digest):
-                self.problems.found.append(
-                    f"files has {path}: {value!r}; give its SHA-256, 64 digits of "
-                    "0 to 9 and a to f"
-                )
-            elif present not in (None, digest):
-                self.problems.found.append(
-                    f"files has {path}: {digest[:12]}..., but the file there has "
-                    f"{present[:12]}...; put the one there that is meant"
-                )
-            found[path] = digest
-        return found
-
-    # -- Jobs --------------------------------------------------------------------------
-
-    def jobs(
-        self, given: Any, over: Mapping[str, tuple[Any, ...]]
-    ) -> dict[str, JobKind]:
-        """Return the jobs by their names."""
-        found: dict[str, JobKind] = {}
-        for name, content in self.problems.mapping(given, "jobs").items():
-            if name in over or not name.isidentifier():
-                self.problems.found.append(
-                    f"job {name!r} needs a name of letters and _, other than variables'"
-                )
-            elif isinstance(content, dict):
-                found[name] = self.job(name, content, over, found)
-            else:
-                self.problems.found.append(f"job {name} is no mapping with a script")
-        return found
-
-    def job(
-        self,
-        name: str,
-        content: Mapping[str, Any],
-        over: Mapping[str, tuple[Any, ...]],
-        above: Mapping[str, JobKind],
-    ) -> JobKind:
-        """Return one job."""
-        what = f"job {name}"
-        known = ("script", "options", "minutes", "curves", "results")
-        self.problems.known(content, known, what)
-        options = flat(content.get("options") or {})
-        self.problems.found += [
-            f"{what} cannot have the option {own}, which the runner decides; leave it "
-            "out, and write what a config holds as options"
-            for own in _OWN
-            if own in options
-        ]
-        used = self.problems.names(list(options.values()), what, [*over, *above])
-        needs = tuple(dict.fromkeys(one for one in used if one in above))
-        mine = {*used, *(v for need in needs for v in above[need].variables)}
-        minutes = content.get("minutes", 1)
-        if isinstance(minutes, bool) or not isinstance(minutes, int | float):
-            self.problems.found.append(
-                f"{what} has minutes: {minutes!r}, which is no number"
+def _over(problems: Problems, given: Any) -> dict[str, tuple[Any, ...]]:
+    """Return the values of each variable."""
+    found = {}
+    for name, values in problems.mapping(given, "over").items():
+        what = f"over {cut(name)}"
+        if not isinstance(values, list) or not values:
+            problems.add(f"{what} is no list of values")
+        elif len(values) > MOST_VALUES:
+            problems.add(
+                f"{what} has {len(values)} values, and at most {MOST_VALUES} are taken"
             )
-            minutes = 1
-        results = content.get("results", True)
-        if not isinstance(results, bool):
-            self.problems.found.append(
-                f"{what} has results: {results!r}; give false where its script writes "
-                "no results.json, or leave it out"
+        elif any(isinstance(value, list | dict) for value in values):
+            problems.add(f"{what} holds lists; give single values")
+        elif odd := [v for v in values if isinstance(v, date) or v != v]:
+            problems.add(
+                f"{what} holds {shown(str(odd[0]))}, which is no value that results "
+                "name; put it into quotes"
             )
-        return JobKind(
-            name,
-            str(content.get("script")),
-            self.script(content.get("script"), what),
-            options,
-            float(minutes),
-            tuple(content.get("curves", ["metrics.csv"])),
-            results is not False,
-            needs,
-            tuple(variable for variable in over if variable in mine),
-        )
+        elif min(len({*values}), len({*map(_called, values)})) < len(values):
+            problems.add(f"{what} holds a value twice")
+        elif not name.isidentifier():
+            problems.add(f"over {shown(name)} is no name; use letters and _")
+        else:
+            found[name] = tuple(values)
+    return found
 
-    def script(self, given: Any, what: str) -> Path:
-        """Return a script's file: as given, beside the YAML, or in the checkout."""
-        places = [folder / str(given) for folder in (Path(), self.folder, ROOT)]
-        # Where a wheel has the recipes.
-        places.append(ROOT / "rlco" / "_recipes" / Path(str(given)).name)
-        for path in places:
-            if given and path.is_file():
-                return path.resolve()
-        self.problems.found.append(
-            f"{what} has script {given!r}, which is no file here, beside this file or "
-            f"in {ROOT}"
-        )
-        return Path()
+
+def _called(value: Any) -> str:
+    return value_name(plain(value))
+
+
+def _without(
+    problems: Problems, given: Any, over: Mapping[str, tuple[Any, ...]]
+) -> tuple[Without, ...]:
+    """Return the combinations that are not run."""
+    found = []
+    for one in given if isinstance(given, list) else [given]:
+        if not (isinstance(one, dict) and one):
+            problems.add(
+                f"without holds {shown(one)}, which is no mapping of variables to "
+                "values"
+            )
+            continue
+        problems.known(one, over, "without")
+        values = {
+            str(name): tuple(each) if isinstance(each, list) else (each,)
+            for name, each in one.items()
+        }
+        single = [(name, value) for name, each in values.items() for value in each]
+        problems.each(single, over, "without")
+        found.append(values)
+    check_without(problems, found)
+    return tuple(found)
+
+
+def _files(problems: Problems, given: Any) -> dict[str, str]:
+    """Return the SHA-256 of files that may be absent."""
+    found = {}
+    for path, value in problems.mapping(given, "files").items():
+        digest, present = str(value), file_hash(path)
+        if not re.fullmatch(r"[0-9a-f]{64}", digest):
+            problems.add(
+                f"files has {cut(path)}: {shown(value)}; give its SHA-256, 64 digits "
+                "of 0 to 9 and a to f"
+            )
+        elif present not in (None, digest):
+            problems.add(
+                f"files has {cut(path)}: {digest[:12]}..., but the file there has "
+                f"{present[:12]}...; put the one there that is meant"
+            )
+        found[path] = digest
+    return found

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
-from rlco.files import read_yaml
+from rlco.files import Fields, read_yaml
 from rlco.runs.compare.experiment import Experiment, JobKind, Published
 
 #: Options that take long, where a job or its script's debug.yaml has them.
@@ -49,10 +50,10 @@ def smallest(experiment: Experiment) -> Experiment:
 
 def _short(job: JobKind) -> JobKind:
     options = dict(job.options)
-    small: dict[str, Any] = {}
+    small: Mapping[str, Any] = {}
     debug = job.path.with_suffix("") / "debug.yaml"
     if debug.is_file():
-        small = read_yaml(debug)
+        small = Fields(read_yaml(debug) or {}, f"file {str(debug)!r}").content
         options = {name: value for name, value in options.items() if name not in small}
         # The smallest recordings have four episodes, of which a part may be asked for.
         options |= {"episodes": "0-3"} if "episodes" in options else {}

@@ -2,30 +2,69 @@
 
 from __future__ import annotations
 
+import re
 import string
 from collections.abc import Iterator, Mapping
 from typing import Any
+
+from rlco.files import shown
+
+# Of a number. A width of more digits, or one that braces hold, takes any memory.
+_FORMAT = re.compile(r"[0-9]{0,2}(\.[0-9]{1,2})?[defg%]?")
 
 
 def names_in(value: Any) -> list[str]:
     """Return the names in braces, in their order.
 
     Raises:
-        ValueError: Braces do not match, or hold more than a name.
+        ValueError: Braces do not match, or hold more than a name and a format.
 
     Example:
         >>> names_in(["{gap}", "{sft}/policy", 3])
         ['gap', 'sft']
     """
-    found: list[str] = []
+    return [name for name, _ in fields_in(value)]
+
+
+def fields_in(value: Any) -> list[tuple[str, str]]:
+    """Return the names in braces, each with its format, which is mostly "".
+
+    Raises:
+        ValueError: Braces do not match, or hold more than a name and a format.
+
+    Example:
+        >>> fields_in("yaw{yaw:03d}_{seed}")
+        [('yaw', '03d'), ('seed', '')]
+    """
+    found: list[tuple[str, str]] = []
     for text in _texts(value):
-        for _, name, _, _ in string.Formatter().parse(text):
+        for _, name, form, conversion in string.Formatter().parse(text):
             if name is None:
                 continue
             if not name.isidentifier():
-                raise ValueError(f"braces hold {name!r}, which is no name")
-            found.append(name)
+                raise ValueError(f"braces hold {shown(name)}, which is no name")
+            if conversion or not _FORMAT.fullmatch(form or ""):
+                more = f"!{conversion}" if conversion else f":{form}"
+                raise ValueError(
+                    f"braces hold {shown(name + more)}; give a name alone, or with a "
+                    "number's width, digits and kind, such as 03d or .2f"
+                )
+            found.append((name, form or ""))
     return found
+
+
+def takes(value: Any, form: str) -> bool:
+    """Return whether a variable's value can be written in a format.
+
+    Example:
+        >>> takes(7, "03d"), takes("push_cube", "03d"), takes(0.5, "d")
+        (True, False, False)
+    """
+    try:
+        format(plain(value), form)
+    except (ValueError, OverflowError):
+        return False
+    return True
 
 
 def _texts(value: Any) -> Iterator[str]:
