@@ -51,22 +51,6 @@ def test_two_evaluations_are_compared(
     assert "cannot be made (No such file or directory)" in words  # root has rights
 
 
-def test_a_folder_that_cannot_be_made_is_said_below_the_table(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    a = _evaluation(tmp_path / "a", "rl_co", [1, 0])
-    b = _evaluation(tmp_path / "b", "sft", [1, 1])
-    with pytest.raises(SystemExit) as ended:  # it seems to be writable, and is not
-        start("compare_results", f"a={a}", f"b={b}", "out=/proc/x")
-    assert ended.value.code == 2
-    shown = capsys.readouterr()
-    assert "| push_cube, sim |" in shown.out
-    assert shown.err.endswith(
-        "error: output folder '/proc/x' cannot be made (No such file or directory); "
-        "give another out=DIR.\n"
-    )
-
-
 def test_the_same_name_is_told_apart(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
