@@ -21,7 +21,9 @@ import sys
 import tempfile
 import time
 import traceback
+import warnings
 from collections import Counter
+from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 
@@ -85,25 +87,33 @@ def attempt(name: str, whole: Path, seed: int) -> tuple[str, str]:
     """Read a damaged copy of whole files.
 
     Returns:
-        ``read``, ``refused`` or ``traceback``, and what was said.
+        ``read``, ``refused``, ``traceback`` or ``warning``, and what was said.
     """
     from fuzz_files import READERS
-
-    from rlco.errors import RlcoError
 
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "files"
         shutil.copytree(whole, folder)
         damage(folder, random.Random(f"{name} {seed}"))
-        try:
-            READERS[name].read(folder)
-        except RlcoError as error:
-            said = str(error)
-            long = len(said) > 1500 or "\n" in said
-            return ("long sentence" if long else "refused"), said
-        except Exception:  # noqa: BLE001 - any but ours is a finding, counted as one
-            return "traceback", traceback.format_exc()
-        return "read", ""
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")  # a user would see it beside the sentence
+            return _read(READERS[name].read, folder)
+
+
+def _read(read: Callable[[Path], object], folder: Path) -> tuple[str, str]:
+    from rlco.errors import RlcoError
+
+    try:
+        read(folder)
+    except RlcoError as error:
+        said = str(error)
+        long = len(said) > 1500 or "\n" in said
+        return ("long sentence" if long else "refused"), said
+    except Warning:
+        return "warning", traceback.format_exc()
+    except Exception:  # noqa: BLE001 - any but ours is a finding, counted as one
+        return "traceback", traceback.format_exc()
+    return "read", ""
 
 
 def whole_files(name: str, place: Path) -> Path:

@@ -88,7 +88,8 @@ def clock_of(stamps: Array) -> Clock | None:
         if rows == len(stamps):
             break
         rows, again = min(len(stamps), 4 * rows), 1
-    if fit is None:
+    # A stamp of another time may have no tick between those beside it.
+    if fit is None or not (np.diff(ticks) >= 1.0).all():
         return None
     start, period = fit
     jitter = float(np.std(stamps - start - period * ticks))

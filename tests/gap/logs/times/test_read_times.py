@@ -121,6 +121,12 @@ def test_one_stamp_of_another_age_is_no_clock(late: float) -> None:
     assert clock_of(np.append(np.arange(200) * 0.05, late)) is None
 
 
+def test_a_stamp_that_belongs_elsewhere_leaves_no_clock() -> None:
+    stamps = np.arange(160) * 0.05
+    stamps[1] = 6.6  # no tick lies between its neighbours' and rises to it
+    assert clock_of(stamps) is None
+
+
 @pytest.mark.parametrize(
     ("away", "whole"), [(0.0, True), (3.4, True), (-4.2, True), (6.0, False)]
 )
