@@ -327,15 +327,6 @@ def test_a_file_whose_name_is_no_column_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-def test_quickstart_needs_a_domain_to_compare_in(
-    capsys: Capture, tmp_path: Path
-) -> None:
-    out = tmp_path / "out"
-    line = refused(capsys, "quickstart", "eval_domains=[]", f"out={out}")
-    assert "eval_domains=[]" in line
-    assert not out.exists()
-
-
 # -- Runs of before ----------------------------------------------------------------
 
 
