@@ -96,6 +96,7 @@ THOROUGH = (
     "uv run recipes/quickstart.py 'methods=[sft,rl_co]'",
     "uv run recipes/rl_co.py policy=... real_demos=... advantage=mc",
     "uv run recipes/rl_co.py policy=outputs/sft/RUN/policy real_demos=demos/robot",
+    "uv run recipes/rl_co.py policy=... real_demos=... train_domain=gap_report/",
     "uv run recipes/lerobot_co_train.py policy=CHECKPOINT real_demos=demos/real",
     "PYTHONPATH=. uv run recipes/rl_co.py train_domain=my_domains:slippery",
 )
