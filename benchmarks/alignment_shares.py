@@ -73,7 +73,7 @@ def main(config: Config) -> None:
 
 def planar_columns() -> list[tuple[str, int]]:
     """Return gap and seed of each column of the planar map."""
-    from rlco.runs.compare.read_experiment import read_experiment
+    from rlco.runs.compare.reading.read_experiment import read_experiment
 
     over = read_experiment(EXPERIMENTS / "planar.yaml").over
     return [(str(gap), int(seed)) for gap in over["gap"] for seed in over["seed"]]
@@ -120,7 +120,7 @@ def planar_share(gap: str, seed: int) -> float:
 def mujoco_columns() -> list[tuple[Job, Job]]:
     """Return the recordings of each column: of the robot's part, and of sim."""
     from rlco.runs.compare.jobs import expand
-    from rlco.runs.compare.read_experiment import read_experiment
+    from rlco.runs.compare.reading.read_experiment import read_experiment
 
     jobs = expand(read_experiment(EXPERIMENTS / "alignment.yaml"))
     sims = {job.values["seed"]: job for job in jobs if job.kind.name == "sim"}

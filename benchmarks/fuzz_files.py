@@ -32,7 +32,7 @@ from rlco.reporting.statistics import ResultRow
 from rlco.run import Run
 from rlco.runs.compare.cells import Cell, Store
 from rlco.runs.compare.jobs import expand
-from rlco.runs.compare.read_experiment import read_experiment
+from rlco.runs.compare.reading.read_experiment import read_experiment
 from rlco.runs.config import RunOptions, parse, to_yaml
 from rlco.runs.state_files import load_state, save_state
 

@@ -45,7 +45,7 @@ from rlco.runs.compare.only import only
 from rlco.runs.compare.plan import Plan, expected_minutes, make_plan
 from rlco.runs.compare.processes import LocalProcesses, Processes
 from rlco.runs.compare.queue import Queue
-from rlco.runs.compare.read_experiment import read_experiment
+from rlco.runs.compare.reading.read_experiment import read_experiment
 from rlco.runs.compare.smallest import smallest
 from rlco.runs.config import REQUIRED, option
 from rlco.runs.ray_cluster import check_ray

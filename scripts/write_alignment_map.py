@@ -20,7 +20,7 @@ from rlco.reporting.experiments.entries import rates
 from rlco.reporting.experiments.results import table_entries
 from rlco.runs.compare.cells import Store
 from rlco.runs.compare.jobs import expand
-from rlco.runs.compare.read_experiment import read_experiment
+from rlco.runs.compare.reading.read_experiment import read_experiment
 from rlco.runs.whole_files import write_text
 
 ROOT = Path(__file__).parents[1]

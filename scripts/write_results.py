@@ -24,7 +24,7 @@ from types import ModuleType
 
 from rlco.runs.compare.cells import Store
 from rlco.runs.compare.jobs import expand
-from rlco.runs.compare.read_experiment import read_experiment
+from rlco.runs.compare.reading.read_experiment import read_experiment
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"

@@ -70,8 +70,8 @@ def record_arm(
 
     Raises:
         OutputExistsError: The folder exists.
-        RlcoError: It cannot be made, or too few motions are free of contacts and
-            limits.
+        RlcoError: It cannot be made, or too few excitation motions are free of contacts
+            and limits.
     """
     folder = Path(folder)
     check_new_folder(folder)

@@ -20,10 +20,10 @@ from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseExceptio
 
 from rlco.errors import ConfigError, UnknownNameError
 from rlco.files import shown, yaml_text
+from rlco.runs.option_help import help_table
 from rlco.runs.options import (
     AS_NOW,
     Option,
-    help_table,
     options_of,
     unknown_option,
 )

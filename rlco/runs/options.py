@@ -1,13 +1,11 @@
-"""One option of a recipe: its declaration, its checks and its line in the help."""
+"""One option of a recipe: its declaration and its checks."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 import os
-import shutil
 import sys
-import textwrap
 import types
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import MISSING as NO_DEFAULT
@@ -324,41 +322,9 @@ def unknown_option(key: str, options: Mapping[str, Option]) -> str:
     return f"unknown option {shown(key)}{near}; 'help' lists them all"
 
 
-def help_table(config_class: type, recipe_path: Path, configs: Iterable[str]) -> str:
-    """Lay out the text that ``help`` prints: usage, configs, one line an option."""
-    options = options_of(config_class)
-    rows = [("option", "type", "default", "meaning")]
-    for key, entry in options.items():
-        default = "required" if entry.is_required else _show(entry.default)
-        rows.append((key, entry.type_name, default, _meaning(entry)))
-    widths = [min(36, max(len(row[i]) for row in rows)) for i in range(3)]
-    indent = sum(widths) + 6
-    room = max(30, shutil.get_terminal_size((100, 24)).columns - indent)
-    lines = [
-        f"usage: {_command(recipe_path)} [config=NAME|PATH] [key=value ...]",
-        f"configs: {', '.join(sorted(configs)) or 'none'}",
-        "",
-    ]
-    for row in rows:
-        left = "  ".join(f"{cell:<{w}}" for cell, w in zip(row, widths, strict=False))
-        meaning = textwrap.wrap(row[3], room) or [""]
-        if len(left) > indent - 2:
-            lines.append(left.rstrip())
-            left = " " * (indent - 2)
-        lines.append(f"{left}  {meaning[0]}".rstrip())
-        lines += [" " * indent + text for text in meaning[1:]]
-    return "\n".join(lines) + "\n"
-
-
 def started_by_rlco() -> bool:
     """Return whether this process is the command `rlco` of an installed package."""
     return Path(sys.argv[0]).name == "rlco"
-
-
-def _command(recipe_path: Path) -> str:
-    if started_by_rlco():
-        return f"rlco {recipe_path.stem}"
-    return f"uv run {recipe_path.parent.name}/{recipe_path.name}"
 
 
 def _members(hint: Any) -> tuple[Any, ...]:
@@ -377,28 +343,3 @@ def _type_name(hint: Any) -> str:
     if hint is type(None):
         return "null"
     return hint.__name__ if get_origin(hint) is None else str(hint)
-
-
-def _show(default: Any) -> str:
-    if default is None or isinstance(default, bool):
-        return str(default).lower().replace("none", "null")
-    return str(default)
-
-
-def _meaning(entry: Option) -> str:
-    """Return what an option means, its limits, and what its values imply."""
-    implied = "".join(
-        f"; {value} implies, unless given: "
-        + " ".join(f"{key}={_show(default)}" for key, default in defaults.items())
-        for value, defaults in entry.implies.items()
-    )
-    return entry.help + _limits(entry) + implied
-
-
-def _limits(entry: Option) -> str:
-    parts = []
-    if entry.minimum is not None:
-        parts.append(f"at least {entry.minimum:g}")
-    if entry.maximum is not None:
-        parts.append(f"at most {entry.maximum:g}")
-    return f" ({', '.join(parts)})" if parts else ""

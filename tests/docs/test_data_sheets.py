@@ -11,7 +11,7 @@ import pytest
 from pages import DOCS, write_results
 
 from rlco.runs.compare.jobs import expand
-from rlco.runs.compare.read_experiment import read_experiment
+from rlco.runs.compare.reading.read_experiment import read_experiment
 
 ROOT = DOCS.parent
 KINDS = (".png", ".mp4", ".html")

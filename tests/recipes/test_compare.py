@@ -24,7 +24,7 @@ from rlco.runs.compare.cells import Store
 from rlco.runs.compare.jobs import Job, expand
 from rlco.runs.compare.plan import make_plan
 from rlco.runs.compare.queue import Queue
-from rlco.runs.compare.read_experiment import read_experiment
+from rlco.runs.compare.reading.read_experiment import read_experiment
 from rlco.runs.compare.smallest import smallest
 from rlco.runs.config import parse
 

@@ -122,7 +122,7 @@ Without = Mapping[str, tuple[Any, ...]]
 
 @dataclass(frozen=True)
 class Experiment:
-    """What is run and compared; see `rlco.runs.compare.read_experiment`."""
+    """What is run and compared; see `rlco.runs.compare.reading.read_experiment`."""
 
     name: str
     over: Mapping[str, tuple[Any, ...]]

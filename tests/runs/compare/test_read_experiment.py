@@ -16,7 +16,7 @@ from rlco.runs.compare.experiment import Experiment
 from rlco.runs.compare.jobs import expand, file_hash
 from rlco.runs.compare.only import only
 from rlco.runs.compare.plan import make_plan
-from rlco.runs.compare.read_experiment import read_experiment
+from rlco.runs.compare.reading.read_experiment import read_experiment
 from rlco.runs.compare.smallest import smallest
 
 #: Whose combinations of values no memory holds.

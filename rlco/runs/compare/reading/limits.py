@@ -11,7 +11,7 @@ from rlco.files import shown
 from rlco.files.reading import cut
 from rlco.runs.compare.experiment import JobKind, Line, Without, named_in
 from rlco.runs.compare.jobs import job_name
-from rlco.runs.compare.problems import Problems
+from rlco.runs.compare.reading.problems import Problems
 from rlco.runs.compare.templates import names_in, plain
 
 #: Values of a variable.

@@ -16,11 +16,11 @@ from rlco.files import read_yaml, shown
 from rlco.files.reading import cut
 from rlco.runs.compare.experiment import Experiment, Without, value_name
 from rlco.runs.compare.jobs import file_hash
-from rlco.runs.compare.limits import MOST_VALUES, check_without
-from rlco.runs.compare.plain_values import unusable
-from rlco.runs.compare.problems import Problems
-from rlco.runs.compare.read_jobs import read_jobs
-from rlco.runs.compare.read_table import read_table
+from rlco.runs.compare.reading.limits import MOST_VALUES, check_without
+from rlco.runs.compare.reading.plain_values import unusable
+from rlco.runs.compare.reading.problems import Problems
+from rlco.runs.compare.reading.read_jobs import read_jobs
+from rlco.runs.compare.reading.read_table import read_table
 from rlco.runs.compare.templates import plain
 from rlco.runs.options import folder_name
 

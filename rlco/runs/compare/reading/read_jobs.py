@@ -14,8 +14,8 @@ from rlco.files.fields import is_number
 from rlco.files.reading import cut
 from rlco.runs.compare.code_version import ROOT, check_python
 from rlco.runs.compare.experiment import JobKind
-from rlco.runs.compare.limits import check_jobs, check_options
-from rlco.runs.compare.problems import Problems
+from rlco.runs.compare.reading.limits import check_jobs, check_options
+from rlco.runs.compare.reading.problems import Problems
 from rlco.runs.compare.templates import flat
 
 Over = Mapping[str, tuple[Any, ...]]
@@ -163,11 +163,11 @@ def _is_pattern(given: Any) -> bool:
 
 def _script(problems: Problems, what: str, given: Any, folder: Path) -> Path:
     """Return a script's file: as given, beside the YAML, or in the checkout."""
-    places = [place / str(given) for place in (Path(), folder, ROOT)]
+    candidates = [place / str(given) for place in (Path(), folder, ROOT)]
     # Where a wheel has the recipes.
-    places.append(ROOT / "rlco" / "_recipes" / Path(str(given)).name)
+    candidates.append(ROOT / "rlco" / "_recipes" / Path(str(given)).name)
     # Of a name that is too long for one, Path.is_file raises an error.
-    path = next((one for one in places if given and os.path.isfile(one)), None)
+    path = next((one for one in candidates if given and os.path.isfile(one)), None)
     if path is None:
         problems.add(
             f"{what} has script {shown(given)}, which is no file here, beside this "

@@ -17,8 +17,8 @@ from rlco.runs.compare.experiment import (
     Table,
     labels_of,
 )
-from rlco.runs.compare.limits import fits
-from rlco.runs.compare.problems import Problems
+from rlco.runs.compare.reading.limits import fits
+from rlco.runs.compare.reading.problems import Problems
 
 #: Behind a point of a curve.
 _MOST_EPISODES = 1_000_000
