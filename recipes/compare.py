@@ -210,7 +210,7 @@ def save(experiment: Experiment, jobs: Sequence[Job], store: Store, out: Path) -
         mine = [entry for entry in entries if entry.group == group]
         if curves := curves_of(mine, table.curve_episodes):
             name = re.sub(r"[^\w.+-]+", "-", f"curves {group}".strip())
-            figure = learning_curves(curves, drifts_of(mine))
+            figure = learning_curves(curves, drifts_of(mine), group=group)
             save_figure(figure, out / "plots" / f"{name}.png")
     if table.axis is not None:
         for name, figure in success_over(entries, table.axis).items():

@@ -7,7 +7,8 @@ its tables, docs/tables/NAME.md, and figures, docs/figures/NAME-*.png. In README
 the pages of docs, what stands between the lines `<!-- results NAME -->` and
 `<!-- end -->` becomes the first table of NAME: of several groups the overview, their
 mean, and what was predicted. After `<!-- results NAME: COLUMN, COLUMN -->` it has these
-columns alone.
+columns alone, after `<!-- results NAME, DOMAIN -->` the rows in this domain, and after
+`<!-- results NAME, mean -->` the means over groups.
 """
 
 from __future__ import annotations
@@ -41,7 +42,8 @@ ON_IMAGES = (
 CELLS |= dict.fromkeys(ON_IMAGES, "sight")
 CELLS |= dict.fromkeys(("generalisation", "take_off", "data", "alpha"), "paper")
 MARKED = re.compile(
-    r"(<!-- results (\w+)(?:: ([^>]+))? -->\n).*?(<!-- end -->)", re.DOTALL
+    r"(<!-- results (\w+)(?:, (\w+))?(?:: ([^>]+))? -->\n).*?(<!-- end -->)",
+    re.DOTALL,
 )
 
 
@@ -118,15 +120,28 @@ def filled(text: str, tables: Mapping[str, str]) -> str:
     """Return a page with its marked tables; as they were, where there is none."""
 
     def part(found: re.Match[str]) -> str:
-        begin, name, columns, end = found.groups()
+        begin, name, which, columns, end = found.groups()
         if name not in tables:
             return found[0]
-        table = tables[name]
+        table = rows_of(tables[name], which) if which else tables[name]
         if columns:
             table = narrowed(table, [column.strip() for column in columns.split(",")])
         return f"{begin}{table}\n{end}"
 
     return MARKED.sub(part, text)
+
+
+def rows_of(tables: str, which: str) -> str:
+    """Return the rows in a domain and what others published of their like, or means."""
+    parts = tables.split("\n\n")
+    if which == "mean":
+        return "\n\n".join(part for part in parts if part.startswith("| mean over "))
+    kept = []
+    for part in parts:
+        head, rows = part.splitlines()[:2], part.splitlines()[2:]
+        mine = [row for row in rows if row.startswith("| *") or f", {which} |" in row]
+        kept.append("\n".join([*head, *mine]))
+    return "\n\n".join(kept)
 
 
 def narrowed(tables: str, columns: list[str]) -> str:

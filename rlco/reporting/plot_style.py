@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import textwrap
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -113,6 +113,14 @@ def domain_label(domain: str, *, lines: int = 1) -> str:
     return label.replace(" (", "\n(", 1) if lines == 2 else label
 
 
+def domain_titles(panels: Sequence[Axes], domains: Sequence[str]) -> None:
+    """Write over each panel whose success it has, no wider than the panel."""
+    for axes, domain in zip(panels, domains, strict=False):
+        lines = domain_label(domain, lines=2).split("\n")
+        text = "\n".join(textwrap.fill(line, 74 // len(panels)) for line in lines)
+        axes.set_title(text, fontsize=10, color=INK)
+
+
 def rate_axis(axes: Axes) -> None:
     """Make y a success rate from 0 to 100 %."""
     axes.set_ylim(0, 1.08)
@@ -177,9 +185,9 @@ def save_figure(figure: Figure, path: Path) -> None:
     """Write a figure as PNG, 1440 px wide, with its title and caption inside."""
     path.parent.mkdir(parents=True, exist_ok=True)
     without_formulas(figure)
-    title = figure.get_suptitle()
+    title, *group = figure.get_suptitle().split("\n")
     about = {
-        "Title": title,
+        "Title": ", ".join([title, *group]),
         "Description": str(figure.get_label()),
         "Comment": READING.get(title, ""),
     }

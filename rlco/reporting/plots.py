@@ -24,6 +24,7 @@ from rlco.reporting.plot_style import (
     caption,
     count_axis,
     domain_label,
+    domain_titles,
     legend,
     log_axis,
     new_figure,
@@ -115,10 +116,13 @@ def success_bars(rows: Sequence[ResultRow]) -> Figure:
     return figure
 
 
-def learning_curves(curves: Sequence[Curve], drifts: Sequence[Drift] = ()) -> Figure:
+def learning_curves(
+    curves: Sequence[Curve], drifts: Sequence[Drift] = (), *, group: str = ""
+) -> Figure:
     """Draw success against environment steps, a panel a domain, a line a method.
 
-    One more panel has the drift from held-out demonstrations, where there is any.
+    One more panel has the drift from held-out demonstrations, where there is any. The
+    title names the group of runs that the curves are of, if it is given.
 
     Several seeds: the mean, Student's t interval of it as a band, and the worst
     seed (the one that ends lowest) dotted. One seed: Wilson's interval as the band.
@@ -129,9 +133,10 @@ def learning_curves(curves: Sequence[Curve], drifts: Sequence[Drift] = ()) -> Fi
     domains = list(dict.fromkeys(curve.domain for curve in curves))
     looks = styles(curve.method for curve in curves)
     shown = len(domains) + bool(drifts)
-    figure, panels = new_figure("Success while learning", shown, height=3.9)
+    title = f"Success while learning\n{group}".rstrip()
+    figure, panels = new_figure(title, shown, height=3.9)
+    domain_titles(panels, domains)
     for axes, domain in zip(panels, domains, strict=False):
-        axes.set_title(domain_label(domain, lines=2), fontsize=10, color=INK)
         for curve in curves:
             if curve.domain == domain:
                 _curve(axes, curve, *looks[curve.method])

@@ -39,6 +39,23 @@ def test_marked_tables_are_what_the_cells_say(
     assert (tmp_path / "figures" / "planar-prediction-1.png").is_file()
 
 
+def test_of_many_rows_those_of_a_domain_or_the_means_may_be_shown() -> None:
+    head = "| success in | sft |\n|---|---|"
+    told = "| *a robot* | *9%* |"
+    every = f"{head}\n| task x, sim | 5% |\n| task x, real | 6% |\n{told}"
+    mean = "| mean over task, in | sft |\n|---|---|\n| kind k, real | 7% |"
+    tables = {"m": f"{every}\n\n{mean}"}
+
+    def shown(which: str) -> str:
+        page = f"<!-- results m, {which} -->\nold\n<!-- end -->"
+        found = write_results().filled(page, tables)
+        return found.removeprefix(f"<!-- results m, {which} -->\n")
+
+    rows = f"{head}\n| task x, real | 6% |\n{told}"
+    assert shown("real") == f"{rows}\n\n{mean}\n<!-- end -->"
+    assert shown("mean") == f"{mean}\n<!-- end -->"
+
+
 def test_a_table_may_be_narrowed_to_some_columns() -> None:
     table = "| method | sim | worst | real |\n|---|---|---|---|\n"
     table += "| sft \\* | 5% | 3% | 7% |"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +10,13 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
-from rlco.reporting.plot_style import METHOD_STYLES, READING, styles
+from rlco.reporting.plot_style import (
+    METHOD_STYLES,
+    READING,
+    domain_titles,
+    new_figure,
+    styles,
+)
 from rlco.reporting.plots import (
     Curve,
     anchor_strength,
@@ -161,6 +168,24 @@ def test_an_episode_names_its_policy_and_its_instruction() -> None:
     words = {"policy": "rl_co", "instruction": "push the red cube"}
     figure = episode_strip([frame], [0.0], "sim", **words)
     assert figure.get_label().startswith('Policy rl_co, asked to "push the red cube". ')
+
+
+def test_curves_name_their_group_and_keep_how_to_read_them(tmp_path: Path) -> None:
+    figure = learning_curves([curve("sft", "sim", [0.1, 0.2, 0.3])], group="task x")
+    save_figure(figure, tmp_path / "a.png")
+    with Image.open(tmp_path / "a.png") as image:
+        assert image.text["Title"] == "Success while learning, task x"
+        assert image.text["Comment"] == READING["Success while learning"]
+
+
+def test_titles_of_three_panels_do_not_touch() -> None:
+    domains = ["sim", "stand_in", "locked"]
+    figure, panels = new_figure("Three", 3, height=3.9)
+    domain_titles(panels, domains)
+    figure.canvas.draw()
+    boxes = [axes.title.get_window_extent() for axes in panels]
+    for left, right in itertools.pairwise(boxes):
+        assert left.x1 < right.x0
 
 
 def test_methods_look_different() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,9 +17,8 @@ from rlco.reporting.experiments.entries import (
     group_name,
 )
 from rlco.reporting.plot_style import (
-    INK,
     caption,
-    domain_label,
+    domain_titles,
     legend,
     new_figure,
     rate_axis,
@@ -70,26 +70,38 @@ def success_over(entries: Sequence[Entry], variable: str) -> dict[str, Figure]:
         title = f"Success over {variable}" + (f", {name}" if name else "")
         figure, panels = new_figure(title, len(domains), height=3.9)
         labels = list(dict.fromkeys(entry.label for entry in mine))
+        domain_titles(panels, domains)
+        seeds: set[int] = set()  # a mean need not have all that others have
         for axes, domain in zip(panels, domains, strict=True):
-            every = {
+            rates = {
                 label: {
-                    value_name(value): mean_interval(rates)
+                    value_name(value): list(ends.values())
                     for value, runs in found.items()
-                    if (rates := list(ends_of(runs.get(label, {}), domain).values()))
+                    if (ends := ends_of(runs.get(label, {}), domain))
                 }
                 for label in labels
             }
-            points = {label: them for label, them in every.items() if them}
+            seeds.update(len(each) for them in rates.values() for each in them.values())
+            points = {
+                label: {value: mean_interval(each) for value, each in them.items()}
+                for label, them in rates.items()
+                if them
+            }
             _panel(axes, [value_name(value) for value in found], points, joined)
-            axes.set_title(domain_label(domain, lines=2), fontsize=10, color=INK)
             axes.set_xlabel(variable)
         for axes in panels[1:]:
             axes.set_ylabel("")
         legend(figure, panels, aside=True)
-        seeds = len({entry.seed for entry in mine})
-        caption(figure, f"Mean of {seeds} seeds; line: its 95 % t interval.")
+        caption(figure, _caption(min(seeds), max(seeds)))
         figures[name] = figure
     return figures
+
+
+def _caption(fewest: int, most: int) -> str:
+    if most == 1:
+        return "One seed, so without intervals."
+    many = f"{most}" if fewest == most else f"{fewest} to {most}"
+    return f"Mean of {many} seeds; line: its 95 % t interval."
 
 
 def _panel(axes: Axes, values: Sequence[str], points: Points, joined: bool) -> None:
@@ -107,8 +119,11 @@ def _panel(axes: Axes, values: Sequence[str], points: Points, joined: bool) -> N
             marker=marker,
             markersize=5,
             linestyle="-" if joined else "",
+            clip_on=False,  # a marker at 0 is whole
             label=label,
         )
     short = max(map(len, values)) * len(values) < 40
-    axes.set_xticks(range(len(values)), values, rotation=0 if short else 30)
+    slanted: dict[str, Any] = {"rotation": 30, "ha": "right", "rotation_mode": "anchor"}
+    axes.set_xticks(range(len(values)), values, **({} if short else slanted))
+    axes.set_xlim(-0.5, len(values) - 0.5)
     rate_axis(axes)

@@ -229,6 +229,8 @@ def test_success_is_drawn_over_a_variable_in_a_figure_for_each_of_the_others() -
     (several, one) = axes.lines
     assert several.get_ydata() == pytest.approx([0.3, 0.8])
     assert one.get_ydata() == pytest.approx([0.1])
+    assert found["kind k"].get_label().startswith("Mean of 1 to 2 seeds")
+    assert found["kind l"].get_label() == "One seed, so without intervals."
 
 
 def test_a_group_lists_no_difference_of_a_method_that_it_has_not() -> None:
