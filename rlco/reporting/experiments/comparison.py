@@ -255,11 +255,26 @@ def _correlation(groups: Sequence[Runs]) -> str:
 
 
 def cost_table(entries: Sequence[Entry]) -> str:
-    """Return what the methods' jobs cost, means over seeds and groups, in Markdown."""
-    head = "| method | its job, minutes of a processor |"
-    lines = ["", "## Cost", "", head, "|---|---|"]
-    for label in dict.fromkeys(entry.label for entry in entries):
-        minutes = [e.minutes for e in entries if e.label == label and e.minutes]
-        mean = f"{sum(minutes) / len(minutes):.1f}" if minutes else "missing"
-        lines.append(row_of([label, mean]))
-    return "\n".join(lines) + "\n"
+    """Return what the methods' jobs cost, means over seeds, in Markdown.
+
+    Of several groups there is a line for each, and one for the mean over all jobs.
+    """
+    labels = list(dict.fromkeys(entry.label for entry in entries))
+    groups = list(dict.fromkeys(entry.group for entry in entries))
+    if len(groups) == 1:
+        head = "| method | its job, minutes of a processor |"
+        rows = [[label, _mean_minutes(entries, label)] for label in labels]
+    else:
+        head = row_of(["minutes of a processor, a job", *labels])
+        of = {group: [e for e in entries if e.group == group] for group in groups}
+        rows = [
+            [name, *(_mean_minutes(mine, label) for label in labels)]
+            for name, mine in (of | {"mean": list(entries)}).items()
+        ]
+    rule = "|" + "---|" * len(rows[0])
+    return "\n".join(["", "## Cost", "", head, rule, *map(row_of, rows)]) + "\n"
+
+
+def _mean_minutes(entries: Iterable[Entry], label: str) -> str:
+    minutes = [e.minutes for e in entries if e.label == label and e.minutes]
+    return f"{sum(minutes) / len(minutes):.1f}" if minutes else "missing"

@@ -125,6 +125,19 @@ def test_costs_are_means_over_the_jobs_that_there_are() -> None:
     assert lines(text)[1:] == ["| rl | 1.5 |", "| sft | missing |"]
 
 
+def test_what_it_cost_has_a_line_for_each_group() -> None:
+    given = [
+        Entry(label, group, 0, "done", (row(1),), minutes=minutes)
+        for label, group, minutes in (("a", "x", 1.0), ("a", "y", 3.0), ("b", "y", 5.0))
+    ]
+    assert lines(cost_table(given)) == [
+        "| minutes of a processor, a job | a | b |",
+        "| x | 1.0 | missing |",
+        "| y | 3.0 | 5.0 |",
+        "| mean | 2.0 | 5.0 |",
+    ]
+
+
 def test_an_overview_has_a_line_for_each_group_and_domain() -> None:
     given = [*entries("a", [9, 7], group="near"), *entries("b", [5, 4], group="near")]
     given += entries("a", [2, 2], group="far")
