@@ -132,15 +132,17 @@ def filled(text: str, tables: Mapping[str, str]) -> str:
 
 
 def rows_of(tables: str, which: str) -> str:
-    """Return the rows in a domain and what others published of their like, or means."""
+    """Return the rows in a domain with what others published of them, or the means."""
     parts = tables.split("\n\n")
     if which == "mean":
         return "\n\n".join(part for part in parts if part.startswith("| mean over "))
+    if f", {which} |" not in parts[0]:
+        raise ValueError(f"{which!r} is no domain of the rows of the first table")
     kept = []
     for part in parts:
         head, rows = part.splitlines()[:2], part.splitlines()[2:]
         mine = [row for row in rows if row.startswith("| *") or f", {which} |" in row]
-        kept.append("\n".join([*head, *mine]))
+        kept.append("\n".join([*head, *mine]) if head[0].startswith("| ") else part)
     return "\n\n".join(kept)
 
 

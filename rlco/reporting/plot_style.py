@@ -115,10 +115,23 @@ def domain_label(domain: str, *, lines: int = 1) -> str:
 
 def domain_titles(panels: Sequence[Axes], domains: Sequence[str]) -> None:
     """Write over each panel whose success it has, no wider than the panel."""
+    width = max(8, 74 // len(panels))  # [letters]
     for axes, domain in zip(panels, domains, strict=False):
         lines = domain_label(domain, lines=2).split("\n")
-        text = "\n".join(textwrap.fill(line, 74 // len(panels)) for line in lines)
+        text = "\n".join(textwrap.fill(line, width) for line in lines)
         axes.set_title(text, fontsize=10, color=INK)
+
+
+def span(counts: Iterable[int]) -> str:
+    """Return a count that all have, or the smallest and the largest of several.
+
+    Example:
+        >>> span([5, 3, 5]), span([5, 5])
+        ('3 to 5', '5')
+    """
+    every = list(counts)
+    fewest, most = min(every), max(every)
+    return f"{most}" if fewest == most else f"{fewest} to {most}"
 
 
 def rate_axis(axes: Axes) -> None:

@@ -8,6 +8,7 @@ labelled as the second simulator that it is.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -29,6 +30,7 @@ from rlco.reporting.plot_style import (
     log_axis,
     new_figure,
     rate_axis,
+    span,
     styles,
 )
 from rlco.reporting.plot_style import save_figure as save_figure
@@ -147,14 +149,15 @@ def learning_curves(
     if drifts:
         _drifts(panels[-1], drifts, looks)
     legend(figure, panels)
-    seeds = max(len(curve.success) for curve in curves)
-    episodes = max(curve.episodes for curve in curves)
+    seeds = [len(curve.success) for curve in curves]
+    interval = "t interval of that mean" + (", of one seed Wilson's" * (1 in seeds))
     band = (
-        f"Line: mean of {seeds} seeds; band: 95 % t interval of that mean; dotted: "
-        "the seed that ends lowest."
-        if seeds > 1
+        f"Line: mean of {span(seeds)} seeds; band: 95 % {interval}; dotted: the seed "
+        "that ends lowest."
+        if max(seeds) > 1
         else "Line: one seed; band: 95 % Wilson interval."
     )
+    episodes = span(curve.episodes for curve in curves)
     text = f"{band} Each point: {episodes} episodes a seed."
     if drifts:
         text += (
@@ -377,14 +380,16 @@ def _drifts(
 
 
 def _bars_caption(rows: Sequence[ResultRow]) -> str:
-    counts = sorted({row["episodes"] for row in rows})
-    episodes = str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
-    seeds = len({row["seed"] for row in rows})
-    if seeds == 1:
+    episodes = span(row["episodes"] for row in rows)
+    seeds = Counter(
+        (row["task"], row["domain"], row["variation"], row["method"]) for row in rows
+    ).values()
+    if max(seeds) == 1:
         return f"n = {episodes} episodes per bar; black line: 95 % Wilson interval."
+    interval = "t interval of the mean" + (", of one seed Wilson's" * (1 in seeds))
     return (
-        f"Mean of {seeds} seeds (dots), n = {episodes} episodes each; black line: "
-        "95 % t interval of the mean."
+        f"Mean of {span(seeds)} seeds (dots), n = {episodes} episodes each; black "
+        f"line: 95 % {interval}."
     )
 
 

@@ -41,19 +41,22 @@ def test_marked_tables_are_what_the_cells_say(
 
 def test_of_many_rows_those_of_a_domain_or_the_means_may_be_shown() -> None:
     head = "| success in | sft |\n|---|---|"
-    told = "| *a robot* | *9%* |"
-    every = f"{head}\n| task x, sim | 5% |\n| task x, real | 6% |\n{told}"
+    published = "| *a robot* | *9%* |"
+    every = f"{head}\n| task x, sim | 5% |\n| task x, real | 6% |\n{published}"
     mean = "| mean over task, in | sft |\n|---|---|\n| kind k, real | 7% |"
-    tables = {"m": f"{every}\n\n{mean}"}
+    note = "A note\nof three\nlines."
+    tables = {"m": f"{every}\n\n{mean}\n\n{note}"}
 
     def shown(which: str) -> str:
         page = f"<!-- results m, {which} -->\nold\n<!-- end -->"
         found = write_results().filled(page, tables)
         return found.removeprefix(f"<!-- results m, {which} -->\n")
 
-    rows = f"{head}\n| task x, real | 6% |\n{told}"
-    assert shown("real") == f"{rows}\n\n{mean}\n<!-- end -->"
+    rows = f"{head}\n| task x, real | 6% |\n{published}"
+    assert shown("real") == f"{rows}\n\n{mean}\n\n{note}\n<!-- end -->"
     assert shown("mean") == f"{mean}\n<!-- end -->"
+    with pytest.raises(ValueError, match="'moon' is no domain"):
+        shown("moon")
 
 
 def test_a_table_may_be_narrowed_to_some_columns() -> None:

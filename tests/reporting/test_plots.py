@@ -113,6 +113,17 @@ def test_curve_of_one_seed_has_a_wilson_band() -> None:
     assert heights.max() == pytest.approx(wilson_interval(40, 50).high)
 
 
+def test_captions_say_how_many_seeds_where_not_all_have_as_many() -> None:
+    rates = [0.2, 0.5, 0.8]
+    several = curve("rl_co", "sim", *[rates] * 5)
+    curves = [several, curve("rl_only", "sim", *[rates] * 3)]
+    assert "mean of 3 to 5 seeds;" in learning_curves(curves).get_label()
+    text = learning_curves([several, curve("sft", "sim", rates)]).get_label()
+    assert "mean of 1 to 5 seeds; band: 95 % t interval of that mean, of one" in text
+    rows = [row("sft", "sim", 4), row("sft", "sim", 6, seed=1), row("rl", "sim", 5)]
+    assert success_bars(rows).get_label().startswith("Mean of 1 to 2 seeds (dots)")
+
+
 def test_curve_with_other_frames_than_rates_is_refused() -> None:
     with pytest.raises(ValueError, match=r"shape \(1, 2\), expected \(seeds, 3\)"):
         learning_curves([curve("rl_co", "sim", [0.2, 0.5])])

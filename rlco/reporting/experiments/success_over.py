@@ -22,6 +22,7 @@ from rlco.reporting.plot_style import (
     legend,
     new_figure,
     rate_axis,
+    span,
     styles,
 )
 from rlco.reporting.statistics import Interval, mean_interval
@@ -92,16 +93,10 @@ def success_over(entries: Sequence[Entry], variable: str) -> dict[str, Figure]:
         for axes in panels[1:]:
             axes.set_ylabel("")
         legend(figure, panels, aside=True)
-        caption(figure, _caption(min(seeds), max(seeds)))
+        mean = f"Mean of {span(seeds)} seeds; line: its 95 % t interval."
+        caption(figure, mean if max(seeds) > 1 else "One seed, so without intervals.")
         figures[name] = figure
     return figures
-
-
-def _caption(fewest: int, most: int) -> str:
-    if most == 1:
-        return "One seed, so without intervals."
-    many = f"{most}" if fewest == most else f"{fewest} to {most}"
-    return f"Mean of {many} seeds; line: its 95 % t interval."
 
 
 def _panel(axes: Axes, values: Sequence[str], points: Points, joined: bool) -> None:

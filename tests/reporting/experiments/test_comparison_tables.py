@@ -242,6 +242,10 @@ def test_success_is_drawn_over_a_variable_in_a_figure_for_each_of_the_others() -
     (several, one) = axes.lines
     assert several.get_ydata() == pytest.approx([0.3, 0.8])
     assert one.get_ydata() == pytest.approx([0.1])
+    (left, right) = axes.get_xlim()
+    for line in axes.lines:
+        assert left < min(line.get_xdata()) <= max(line.get_xdata()) < right
+        assert not line.get_clip_on()  # at 0 % half a marker would be cut off
     assert found["kind k"].get_label().startswith("Mean of 1 to 2 seeds")
     assert found["kind l"].get_label() == "One seed, so without intervals."
 
