@@ -31,7 +31,7 @@ ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 BENCHMARKS = ROOT / "benchmarks"
 #: Where the cells of an experiment are, if not in a folder of its name.
-ON_PUSH_CUBE = ("alignment", "two_by_two", "length", "methods", "adapted")
+ON_PUSH_CUBE = ("alignment", "two_by_two", "length", "methods", "adapted", "kinds")
 CELLS = dict.fromkeys(ON_PUSH_CUBE, "push_cube")
 ON_IMAGES = (
     "encoders",
