@@ -287,7 +287,7 @@ def compare(
 
 def draw(config: Config, run: Run, rows: list[ResultRow], curves: list[str]) -> None:
     """Draw the figures of the report, with curves of these domains."""
-    from rlco.reporting import plots
+    from rlco.reporting import image_plots, plots
     from rlco.reporting.stage_figures import draw_stages
     from rlco.videos import same_scene
 
@@ -310,7 +310,8 @@ def draw(config: Config, run: Run, rows: list[ResultRow], curves: list[str]) -> 
             image_size=(config.image_size, config.image_size),
             renderer=config.renderer,
         )
-        plots.save_figure(plots.same_scene(images), run.plots / "same_scene.png")
+        figure = image_plots.same_scene(images)
+        plots.save_figure(figure, run.plots / "same_scene.png")
 
 
 def film(config: Config, run: Run, method: str, policy: Any, domain: Domain) -> None:

@@ -39,7 +39,7 @@ class Film:
 
     def strip(self, domain: str, method: str, count: int = 5) -> Figure:
         """Return a figure of about so many frames, with their times."""
-        from rlco.reporting.plots import episode_strip
+        from rlco.reporting.image_plots import episode_strip
 
         some = range(0, len(self.frames), max(1, len(self.frames) // count))
         return episode_strip(

@@ -21,6 +21,7 @@ WITHOUT_TORCH = (
     "rlco.run",
     "rlco.reporting.statistics",
     "rlco.reporting.plots",
+    "rlco.reporting.image_plots",
     "rlco.reporting.report",
     "rlco.lerobot_files",
     "rlco.physics",

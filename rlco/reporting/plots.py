@@ -1,9 +1,10 @@
-"""Figures of a run: success, learning, gradients, forgetting, scenes, an episode.
+"""Figures of a run's numbers: success, learning, gradients, forgetting.
 
 Each function returns a matplotlib Figure without touching pyplot's global state;
 :func:`save_figure` writes it as a PNG that carries its title and how to read it.
 Every interval is a 95 % one. Nothing here draws a robot: ``stand_in`` is always
-labelled as the second simulator that it is.
+labelled as the second simulator that it is. Figures of images are in
+:mod:`rlco.reporting.image_plots`.
 """
 
 from __future__ import annotations
@@ -13,15 +14,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from rlco.reporting.plot_style import (
     INK,
     QUIET,
-    SAME_SCENE,
-    WIDTH,
     caption,
     count_axis,
     domain_label,
@@ -245,63 +243,6 @@ def forgetting(
         "Drift of the most likely actions on demonstrations held out of training, in "
         "units of the action's range, and success in the domain that stands for the "
         "robot.",
-    )
-    return figure
-
-
-def episode_strip(
-    frames: Sequence[npt.NDArray[np.uint8]],
-    seconds: Sequence[float],
-    domain: str,
-    *,
-    policy: str = "",
-    instruction: str = "",
-) -> Figure:
-    """Draw a few frames of one episode in a row.
-
-    Args:
-        frames: Images of equal size. Shape (height, width, 3) each.
-        seconds: Time of each frame [s].
-        domain: The domain of the episode.
-        policy: Name of the policy that acts, for the caption.
-        instruction: What it was asked to do, for the caption.
-    """
-    height, width = frames[0].shape[:2]
-    tall = WIDTH / len(frames) * height / width + 0.9
-    figure, panels = new_figure("One episode", len(frames), height=tall)
-    for axes, frame, second in zip(panels, frames, seconds, strict=True):
-        axes.imshow(frame)
-        axes.set_axis_off()
-        axes.set_title(f"{second:.1f} s", fontsize=10, color=INK)
-    task = f', asked to "{instruction}"' if instruction else ""
-    who = f"Policy {policy}{task}. " if policy else ""
-    caption(figure, f"{who}Rendered in {domain_label(domain)}.")
-    return figure
-
-
-def same_scene(images: Mapping[str, Mapping[str, npt.NDArray[np.uint8]]]) -> Figure:
-    """Draw what each camera shows of one state, the domains beside each other.
-
-    Args:
-        images: By camera and domain, all of one size. Shape (height, width, 3) each.
-    """
-    panes = [
-        (camera, domain, image)
-        for camera, by_domain in images.items()
-        for domain, image in by_domain.items()
-    ]
-    height, width = panes[0][2].shape[:2]
-    tall = WIDTH / len(panes) * height / width + 1.1
-    figure, panels = new_figure(SAME_SCENE, len(panes), height=tall)
-    for axes, (camera, domain, image) in zip(panels, panes, strict=True):
-        axes.imshow(image, interpolation="nearest")
-        axes.set_axis_off()
-        axes.set_title(f"{domain}\n{camera}", fontsize=10, color=INK)
-    domains = dict.fromkeys(domain_label(domain) for _, domain, _ in panes)
-    caption(
-        figure,
-        f"Images of {' and '.join(images)} as an episode starts, {width} x {height} "
-        f"pixels, as policies read them. Rendered in {' and in '.join(domains)}.",
     )
     return figure
 

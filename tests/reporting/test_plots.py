@@ -10,6 +10,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image
 
+from rlco.reporting.image_plots import episode_strip, same_scene
 from rlco.reporting.plot_style import (
     METHOD_STYLES,
     READING,
@@ -20,10 +21,8 @@ from rlco.reporting.plot_style import (
 from rlco.reporting.plots import (
     Curve,
     anchor_strength,
-    episode_strip,
     forgetting,
     learning_curves,
-    same_scene,
     save_figure,
     success_bars,
 )
@@ -174,13 +173,6 @@ def test_no_figure_lets_a_reader_think_that_a_robot_moved() -> None:
         assert "(a second simulator, not a robot)" in texts(figure)
 
 
-def test_an_episode_names_its_policy_and_its_instruction() -> None:
-    frame = np.zeros((4, 6, 3), np.uint8)
-    words = {"policy": "rl_co", "instruction": "push the red cube"}
-    figure = episode_strip([frame], [0.0], "sim", **words)
-    assert figure.get_label().startswith('Policy rl_co, asked to "push the red cube". ')
-
-
 def test_curves_name_their_group_and_keep_how_to_read_them(tmp_path: Path) -> None:
     figure = learning_curves([curve("sft", "sim", [0.1, 0.2, 0.3])], group="task x")
     save_figure(figure, tmp_path / "a.png")
@@ -236,25 +228,6 @@ def test_every_figure_of_rlco_says_how_to_read_it() -> None:
         episode_strip([frame], [0.0], "sim"),
     )
     assert [figure.get_suptitle() for figure in figures] == list(READING)
-
-
-def test_a_scene_is_shown_by_camera_and_domain_side_by_side(tmp_path: Path) -> None:
-    red, blue = (np.full((8, 8, 3), rgb, np.uint8) for rgb in ((200, 0, 0), (0, 0, 90)))
-    path = tmp_path / "scene.png"
-    figure = same_scene({"front": {"sim": red, "stand_in": blue}})
-    save_figure(figure, path)
-    with Image.open(path) as image:
-        pixels, about = np.asarray(image.convert("RGB")), image.info
-    (red_rows, red_columns), (blue_rows, blue_columns) = (
-        np.nonzero((pixels == colour[0, 0]).all(-1)) for colour in (red, blue)
-    )
-    assert red_columns.max() < blue_columns.min()
-    assert (red_rows.min(), red_rows.max()) == (blue_rows.min(), blue_rows.max())
-    assert np.ptp(red_columns) > 400  # large enough to be looked at [pixels]
-    assert [one.get_title() for one in figure.axes] == ["sim\nfront", "stand_in\nfront"]
-    assert "8 x 8 pixels" in about["Description"]
-    assert "stand_in (a second simulator, not a robot)" in about["Description"]
-    assert "stand_in, is a second simulator, not a robot" in about["Comment"]
 
 
 @pytest.mark.parametrize("name", [r"a$\frac$", "$x$", "cost in $"])
