@@ -7,8 +7,9 @@ its tables, docs/tables/NAME.md, and figures, docs/figures/NAME-*.png. In README
 the pages of docs, what stands between the lines `<!-- results NAME -->` and
 `<!-- end -->` becomes the first table of NAME: of several groups the overview, their
 mean, and what was predicted. After `<!-- results NAME: COLUMN, COLUMN -->` it has these
-columns alone, after `<!-- results NAME, DOMAIN -->` the rows in this domain, and after
-`<!-- results NAME, mean -->` the means over groups.
+columns alone, after `<!-- results NAME, DOMAIN -->` the rows in this domain, after
+`<!-- results NAME, mean -->` the means over groups, and after
+`<!-- results NAME, cost -->` what its jobs took.
 """
 
 from __future__ import annotations
@@ -40,7 +41,8 @@ ON_IMAGES = (
     "generalisation_images",
 )
 CELLS |= dict.fromkeys(ON_IMAGES, "sight")
-CELLS |= dict.fromkeys(("generalisation", "take_off", "data", "alpha"), "paper")
+ON_POSES = ("generalisation", "take_off", "data", "alpha", "paper_kinds")
+CELLS |= dict.fromkeys(ON_POSES, "paper")
 MARKED = re.compile(
     r"(<!-- results (\w+)(?:, (\w+))?(?:: ([^>]+))? -->\n).*?(<!-- end -->)",
     re.DOTALL,
@@ -56,7 +58,7 @@ def main() -> None:
         if missing:
             print(f"{path.stem}: {missing} of {every} cells are not in yet")
         else:
-            first[path.stem] = write_page(path.stem, path, cells)
+            first |= write_page(path.stem, path, cells)
     for page in (ROOT / "README.md", *sorted(DOCS.glob("*.md"))):
         text = page.read_text("utf-8")
         written = filled(text, first)
@@ -85,8 +87,8 @@ def recipe(name: str) -> ModuleType:
     return module
 
 
-def write_page(name: str, experiment: Path, cells: Path) -> str:
-    """Write an experiment's page and figures, and return its first table."""
+def write_page(name: str, experiment: Path, cells: Path) -> dict[str, str]:
+    """Write an experiment's page and figures, and return its first table and cost."""
     with tempfile.TemporaryDirectory() as out:
         # In this process: to start one for each takes longer than the tables.
         config = {"experiment": str(experiment), "cells": str(cells), "out": out}
@@ -111,9 +113,14 @@ def write_page(name: str, experiment: Path, cells: Path) -> str:
     print(f"docs/tables/{name}.md: written")
     overview, *sections = tables.split("\n## ")
     overview = re.sub(r"\A## .*\n+", "", overview)  # of the only group
-    heads = ("Mean\n", "Predictions\n", "Drift\n")
-    over_all = [one.partition("\n")[2] for one in sections if one.startswith(heads)]
-    return "\n\n".join(part.strip() for part in (overview, *over_all))
+    parts = dict(section.split("\n", 1) for section in sections)
+    over_all = [
+        parts[head] for head in ("Mean", "Predictions", "Drift") if head in parts
+    ]
+    return {
+        name: "\n\n".join(part.strip() for part in (overview, *over_all)),
+        f"{name}, cost": parts["Cost"].strip(),
+    }
 
 
 def filled(text: str, tables: Mapping[str, str]) -> str:
@@ -123,7 +130,10 @@ def filled(text: str, tables: Mapping[str, str]) -> str:
         begin, name, which, columns, end = found.groups()
         if name not in tables:
             return found[0]
-        table = rows_of(tables[name], which) if which else tables[name]
+        if which == "cost":
+            table = tables[f"{name}, cost"]
+        else:
+            table = rows_of(tables[name], which) if which else tables[name]
         if columns:
             table = narrowed(table, [column.strip() for column in columns.split(",")])
         return f"{begin}{table}\n{end}"

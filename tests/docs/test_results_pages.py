@@ -25,21 +25,20 @@ def test_marked_tables_are_what_the_cells_say(
         name for text in texts.values() for _, name, *_ in module.MARKED.findall(text)
     }
     assert "planar" in marked
-    tables = {
-        name: module.write_page(
+    tables: dict[str, str] = {}
+    for name in marked:
+        tables |= module.write_page(
             name,
             module.BENCHMARKS / "experiments" / f"{name}.yaml",
             module.BENCHMARKS / "cells" / module.CELLS.get(name, name),
         )
-        for name in marked
-    }
     for page, text in texts.items():
         assert module.filled(text, tables) == text, page
     # Figures of the page lie where it looks for them.
     assert (tmp_path / "figures" / "planar-prediction-1.png").is_file()
 
 
-def test_of_many_rows_those_of_a_domain_or_the_means_may_be_shown() -> None:
+def test_of_many_rows_those_of_a_domain_the_means_or_the_cost_may_be_shown() -> None:
     head = "| success in | sft |\n|---|---|"
     published = "| *a robot* | *9%* |"
     every = f"{head}\n| task x, sim | 5% |\n| task x, real | 6% |\n{published}"
@@ -55,6 +54,8 @@ def test_of_many_rows_those_of_a_domain_or_the_means_may_be_shown() -> None:
     rows = f"{head}\n| task x, real | 6% |\n{published}"
     assert shown("real") == f"{rows}\n\n{mean}\n\n{note}\n<!-- end -->"
     assert shown("mean") == f"{mean}\n<!-- end -->"
+    tables["m, cost"] = "| minutes of a processor, a job | sft |"
+    assert shown("cost") == f"{tables['m, cost']}\n<!-- end -->"
     with pytest.raises(ValueError, match="'moon' is no domain"):
         shown("moon")
 
