@@ -88,7 +88,7 @@ def recipe(name: str) -> ModuleType:
 
 
 def write_page(name: str, experiment: Path, cells: Path) -> dict[str, str]:
-    """Write an experiment's page and figures, and return its first table and cost."""
+    """Write an experiment's page and figures, and return what pages may show of it."""
     with tempfile.TemporaryDirectory() as out:
         # In this process: to start one for each takes longer than the tables.
         config = {"experiment": str(experiment), "cells": str(cells), "out": out}
@@ -113,14 +113,15 @@ def write_page(name: str, experiment: Path, cells: Path) -> dict[str, str]:
     print(f"docs/tables/{name}.md: written")
     overview, *sections = tables.split("\n## ")
     overview = re.sub(r"\A## .*\n+", "", overview)  # of the only group
-    parts = dict(section.split("\n", 1) for section in sections)
+    parts = {
+        head: part.strip() for head, part in (one.split("\n", 1) for one in sections)
+    }
     over_all = [
         parts[head] for head in ("Mean", "Predictions", "Drift") if head in parts
     ]
-    return {
-        name: "\n\n".join(part.strip() for part in (overview, *over_all)),
-        f"{name}, cost": parts["Cost"].strip(),
-    }
+    first = "\n\n".join((overview.strip(), *over_all))
+    alone = {head.lower(): parts[head] for head in ("Mean", "Cost") if head in parts}
+    return {name: first} | {f"{name}, {head}": part for head, part in alone.items()}
 
 
 def filled(text: str, tables: Mapping[str, str]) -> str:
@@ -130,10 +131,9 @@ def filled(text: str, tables: Mapping[str, str]) -> str:
         begin, name, which, columns, end = found.groups()
         if name not in tables:
             return found[0]
-        if which == "cost":
-            table = tables[f"{name}, cost"]
-        else:
-            table = rows_of(tables[name], which) if which else tables[name]
+        table = tables.get(f"{name}, {which}") if which else tables[name]
+        if table is None:
+            table = rows_of(tables[name], which)
         if columns:
             table = narrowed(table, [column.strip() for column in columns.split(",")])
         return f"{begin}{table}\n{end}"
@@ -142,10 +142,8 @@ def filled(text: str, tables: Mapping[str, str]) -> str:
 
 
 def rows_of(tables: str, which: str) -> str:
-    """Return the rows in a domain with what others published of them, or the means."""
+    """Return the rows in a domain with what others published of them."""
     parts = tables.split("\n\n")
-    if which == "mean":
-        return "\n\n".join(part for part in parts if part.startswith("| mean over "))
     if f", {which} |" not in parts[0]:
         raise ValueError(f"{which!r} is no domain of the rows of the first table")
     kept = []

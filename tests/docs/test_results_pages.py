@@ -44,7 +44,8 @@ def test_of_many_rows_those_of_a_domain_the_means_or_the_cost_may_be_shown() -> 
     every = f"{head}\n| task x, sim | 5% |\n| task x, real | 6% |\n{published}"
     mean = "| mean over task, in | sft |\n|---|---|\n| kind k, real | 7% |"
     note = "A note\nof three\nlines."
-    tables = {"m": f"{every}\n\n{mean}\n\n{note}"}
+    cost = "| minutes of a processor, a job | sft |"
+    tables = {"m": f"{every}\n\n{mean}\n\n{note}", "m, mean": mean, "m, cost": cost}
 
     def shown(which: str) -> str:
         page = f"<!-- results m, {which} -->\nold\n<!-- end -->"
@@ -54,8 +55,7 @@ def test_of_many_rows_those_of_a_domain_the_means_or_the_cost_may_be_shown() -> 
     rows = f"{head}\n| task x, real | 6% |\n{published}"
     assert shown("real") == f"{rows}\n\n{mean}\n\n{note}\n<!-- end -->"
     assert shown("mean") == f"{mean}\n<!-- end -->"
-    tables["m, cost"] = "| minutes of a processor, a job | sft |"
-    assert shown("cost") == f"{tables['m, cost']}\n<!-- end -->"
+    assert shown("cost") == f"{cost}\n<!-- end -->"
     with pytest.raises(ValueError, match="'moon' is no domain"):
         shown("moon")
 
