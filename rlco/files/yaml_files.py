@@ -32,9 +32,11 @@ _FLOAT = re.compile(
 class _Loader(yaml.SafeLoader):
     """Plain values alone: no tag makes an object, no key stands twice."""
 
-    def construct_mapping(self, node: Any, deep: bool = False) -> dict[Any, Any]:
-        """Return a mapping; a key that stands twice is refused."""
-        self.flatten_mapping(node)
+    # Before merges (<<: *anchor) are written out: what stands beside one may replace a
+    # key that it brings.
+    def compose_mapping_node(self, anchor: Any) -> Any:
+        """Return a mapping as it is written; a key that stands twice is refused."""
+        node = super().compose_mapping_node(anchor)
         seen: set[Any] = set()
         for key, _ in node.value:
             if isinstance(key, yaml.ScalarNode):
@@ -43,7 +45,7 @@ class _Loader(yaml.SafeLoader):
                         None, None, f"{key.value!r} is given twice", key.start_mark
                     )
                 seen.add(key.value)
-        return super().construct_mapping(node, deep)
+        return node
 
 
 _Loader.yaml_implicit_resolvers = {

@@ -166,11 +166,33 @@ def test_a_few_aliases_are_fine(tmp_path: Path) -> None:
     assert content == {"base": {"lr": 1e-3}, "here": {"lr": 1e-3, "seed": 1}}
 
 
+def test_what_stands_beside_a_merge_replaces_what_it_brings(tmp_path: Path) -> None:
+    # The one in the middle has a merge of its own.
+    lines = ["base: &base {lr: 1e-3, seed: 1}", "outer:", "  deep:"]
+    lines += [
+        "    middle: &middle {<<: *base, seed: 2}",
+        "last: {seed: 3, <<: *middle}",
+    ]
+    content = yaml_of(tmp_path, "\n".join(lines))
+    assert content == {
+        "base": {"lr": 1e-3, "seed": 1},
+        "outer": {"deep": {"middle": {"lr": 1e-3, "seed": 2}}},
+        "last": {"lr": 1e-3, "seed": 3},
+    }
+
+
+def test_a_key_beside_a_merge_stands_once(tmp_path: Path) -> None:
+    text = "base: &base {lr: 1}\nhere:\n  <<: *base\n  lr: 2\n  lr: 3"
+    with pytest.raises(DataError, match="'lr' is given twice in line 5"):
+        yaml_of(tmp_path, text)
+
+
 @pytest.mark.parametrize(
     "text",
     [
         "a: &a [*a]",
         "a: 1\na: 2",
+        "a: &a {b: 1}\nc: {<<: *a, <<: *a}",
         "a: !!python/object/apply:os.system [ls]",
         "[" * 1500,
         "a: \xff",
