@@ -12,6 +12,7 @@ from rlco.reporting.experiments.entries import (
     ends_of,
     found_runs,
     gains_of,
+    labels_of,
 )
 from rlco.reporting.experiments.rank_correlation import (
     LEAST_GROUPS,
@@ -149,7 +150,7 @@ def overview_table(
     Raises:
         DataError: A method has several results in one domain.
     """
-    labels = list(dict.fromkeys(entry.label for entry in entries))
+    labels = labels_of(entries)
     head = ["success in", *labels, *(f"{a} - {b}" for a, b in differences)]
     lines = [row_of(head), "|---" * len(head) + "|"]
     for group in dict.fromkeys(entry.group for entry in entries):
@@ -259,7 +260,7 @@ def cost_table(entries: Sequence[Entry]) -> str:
 
     Of several groups there is a line for each, and one for the mean over all jobs.
     """
-    labels = list(dict.fromkeys(entry.label for entry in entries))
+    labels = labels_of(entries)
     groups = list(dict.fromkeys(entry.group for entry in entries))
     if len(groups) == 1:
         head = "| method | its job, minutes of a processor |"

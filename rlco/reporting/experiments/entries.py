@@ -30,6 +30,8 @@ class Entry:
         curve: Evaluations on the way, rows of metrics.csv; empty where none are drawn.
         minutes: Of a processor, that the job took which this is a result of [min].
         values: Those of the group's variables.
+        always: Values that the method has in every group, whatever the group's.
+        line: The method's place in the tables.
     """
 
     label: str
@@ -40,6 +42,21 @@ class Entry:
     curve: tuple[Mapping[str, float], ...] = ()
     minutes: float | None = None
     values: Mapping[str, Any] = field(default_factory=dict)
+    always: Mapping[str, Any] = field(default_factory=dict)
+    line: int = 0
+
+
+def labels_of(entries: Iterable[Entry]) -> list[str]:
+    """Return the methods in the order of the table's lines.
+
+    The first group need not have all that others have.
+
+    Example:
+        >>> labels_of([Entry("b", "x", 0, "done", line=1), Entry("a", "y", 0, "done")])
+        ['a', 'b']
+    """
+    ordered = sorted(entries, key=lambda entry: entry.line)
+    return list(dict.fromkeys(entry.label for entry in ordered))
 
 
 def group_name(values: Mapping[str, Any]) -> str:

@@ -13,6 +13,7 @@ from rlco.reporting.experiments.entries import (
     found_runs,
     gains_of,
     group_name,
+    labels_of,
 )
 from rlco.reporting.statistics import mean_of_means
 from rlco.runs.compare.experiment import Published
@@ -39,7 +40,7 @@ def mean_table(
     Raises:
         DataError: A method has several results in one domain.
     """
-    labels = list(dict.fromkeys(entry.label for entry in entries))
+    labels = labels_of(entries)
     title = f"mean over {', '.join(over)}, in"
     head = [title, *labels, *(f"{a} - {b}" for a, b in differences), "tables"]
     lines = ["\n## Mean\n", row_of(head), "|---" * len(head) + "|"]

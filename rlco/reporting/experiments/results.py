@@ -40,7 +40,7 @@ def table_entries(
     table = experiment.table
     found = []
     for group, values in _groups(experiment):
-        for line in table.lines:
+        for number, line in enumerate(table.lines):
             for job in jobs:
                 # What a line is always of counts for more than what its table is of.
                 if job.kind.name != line.job or not _agree(job, {**values, **line.at}):
@@ -57,7 +57,16 @@ def table_entries(
                 minutes = cell.cpu_seconds / 60 if cell else None
                 found.append(
                     Entry(
-                        label, group, seed, state, rows, tuple(curve), minutes, values
+                        label,
+                        group,
+                        seed,
+                        state,
+                        rows,
+                        tuple(curve),
+                        minutes,
+                        values,
+                        line.at,
+                        number,
                     )
                 )
     return found

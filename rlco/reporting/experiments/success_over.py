@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ from rlco.reporting.experiments.entries import (
     ends_of,
     found_runs,
     group_name,
+    labels_of,
 )
 from rlco.reporting.plot_style import (
     caption,
@@ -36,8 +37,8 @@ def success_over(entries: Sequence[Entry], variable: str) -> dict[str, Figure]:
     """Draw each method's success over the values of a variable, a panel a domain.
 
     Means over seeds with Student's t interval of 95 %; joined by lines where the values
-    are numbers. There is a figure for all values of the groups' other variables, by its
-    name.
+    are numbers. A method that always has one of the values is a dashed line. There is a
+    figure for all values of the groups' other variables, by its name.
 
     Example:
         >>> row = {"domain": "sim", "successes": 3, "episodes": 4}
@@ -70,7 +71,8 @@ def success_over(entries: Sequence[Entry], variable: str) -> dict[str, Figure]:
             continue
         title = f"Success over {variable}" + (f", {name}" if name else "")
         figure, panels = new_figure(title, len(domains), height=3.9)
-        labels = list(dict.fromkeys(entry.label for entry in mine))
+        labels = labels_of(mine)
+        fixed = {entry.label for entry in mine if variable in entry.always}
         domain_titles(panels, domains)
         seeds: set[int] = set()  # a mean need not have all that others have
         for axes, domain in zip(panels, domains, strict=True):
@@ -88,7 +90,8 @@ def success_over(entries: Sequence[Entry], variable: str) -> dict[str, Figure]:
                 for label, them in rates.items()
                 if them
             }
-            _panel(axes, [value_name(value) for value in found], points, joined)
+            names = [value_name(value) for value in found]
+            _panel(axes, names, points, fixed, joined)
             axes.set_xlabel(variable)
         for axes in panels[1:]:
             axes.set_ylabel("")
@@ -99,13 +102,19 @@ def success_over(entries: Sequence[Entry], variable: str) -> dict[str, Figure]:
     return figures
 
 
-def _panel(axes: Axes, values: Sequence[str], points: Points, joined: bool) -> None:
+def _panel(
+    axes: Axes, values: Sequence[str], points: Points, fixed: Set[str], joined: bool
+) -> None:
     looks = styles(points)
-    for number, (label, (colour, marker)) in enumerate(looks.items()):
-        aside = (number - (len(looks) - 1) / 2) * 0.5 / len(looks)
+    beside = [label for label in looks if label not in fixed]
+    for label, (colour, marker) in looks.items():
         there = [value for value in values if value in points[label]]
-        x = np.array([values.index(value) + aside for value in there])
         mean, low, high = np.transpose([points[label][value] for value in there])
+        if label in fixed:
+            axes.axhline(mean[0], color=colour, linestyle="--", label=label)
+            continue
+        aside = (beside.index(label) - (len(beside) - 1) / 2) * 0.5 / len(beside)
+        x = np.array([values.index(value) + aside for value in there])
         axes.vlines(x, np.maximum(low, 0), np.minimum(high, 1), color=colour)
         axes.plot(
             x,

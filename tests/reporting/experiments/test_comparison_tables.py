@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -248,6 +249,33 @@ def test_success_is_drawn_over_a_variable_in_a_figure_for_each_of_the_others() -
         assert not line.get_clip_on()  # at 0 % half a marker would be cut off
     assert found["kind k"].get_label().startswith("Mean of 1 to 2 seeds")
     assert found["kind l"].get_label() == "One seed, so without intervals."
+
+
+def test_a_method_that_always_has_one_of_the_values_is_a_dashed_line() -> None:
+    given = [
+        *entries("a", [2, 4], group="demos 5"),
+        *entries("a", [8, 8], group="demos 20"),
+    ]
+    given += [
+        replace(entry, label="a with 20", always={"demos": 20})
+        for group in ("demos 5", "demos 20")
+        for entry in entries("", [8, 8], group=group)
+    ]
+    (axes,) = success_over(given, "demos")[""].axes
+    (several, level) = axes.lines
+    assert several.get_xdata() == pytest.approx([0, 1])  # in the middle, as if alone
+    assert level.get_linestyle() == "--"
+    assert level.get_ydata() == pytest.approx([0.8, 0.8])
+
+
+def test_methods_stand_in_the_order_of_the_file_whatever_the_first_group_has() -> None:
+    second = [replace(entry, line=1) for entry in entries("b", [5], group="task x")]
+    both = [*second, *entries("a", [7], group="task y")]
+    both += [replace(entry, line=1) for entry in entries("b", [6], group="task y")]
+    head, first, last = lines(overview_table(both, []))
+    assert head == "| success in | a | b |"
+    assert first == "| task x, sim | - | 50% |"
+    assert last == "| task y, sim | 70% | 60% |"
 
 
 def test_a_group_lists_no_difference_of_a_method_that_it_has_not() -> None:
