@@ -298,6 +298,72 @@ def test_jobs_that_need_each_other_in_many_ways_are_planned_at_once(
     assert [job.kind.name for job in plan.jobs] == [f"j{n}" for n in range(60)]
 
 
+# -- Jobs of another file --------------------------------------------------------------
+
+
+def shares(folder: Path, given: dict[str, Any]) -> dict[str, Any]:
+    """Write ``all.yaml`` with five jobs; return an experiment that shares some."""
+    every = {
+        "data": {"script": "s.py", "results": False, "options": {"seed": "{seed}"}},
+        "other": {"script": "s.py", "options": {"never": "{task}"}},
+        "one": {"script": "s.py", "options": {"of": {"data": "{data}"}}},
+        "two": {"script": "s.py", "options": {"policy": "{one}/policy"}},
+        "three": {"script": "s.py", "options": {"task": "{task}"}},
+    }
+    text = yaml.safe_dump(given | {"jobs": every}, sort_keys=False)
+    (folder / "all.yaml").write_text(text)
+    mine = {"last": {"script": "s.py", "options": {"from": "{two}"}}}
+    methods = {"last": {"job": "last"}, "three": {"job": "three"}}
+    return given | {
+        "jobs_of": "all.yaml",
+        "jobs": mine,
+        "table": {"by": "task", "methods": methods},
+    }
+
+
+def test_jobs_of_another_file_are_those_that_are_needed(
+    folder: Path, given: dict[str, Any]
+) -> None:
+    experiment = read(folder, shares(folder, given))
+    assert list(experiment.jobs) == ["data", "one", "two", "three", "last"]
+    # What decides a result is the same, so that such a job runs once for both.
+    there = {job.key for job in expand(read_experiment(folder / "all.yaml"))}
+    shared = [job for job in expand(experiment) if job.kind.name != "last"]
+    assert len(shared) == 2 * 3 + 2
+    assert {job.key for job in shared} <= there
+
+
+def test_a_file_may_have_no_jobs_of_its_own(
+    folder: Path, given: dict[str, Any]
+) -> None:
+    mine = shares(folder, given)
+    del mine["jobs"], mine["table"]["methods"]["last"]
+    assert list(read(folder, mine).jobs) == ["three"]
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        ({"jobs_of": "absent.yaml"}, "jobs_of: 'absent.yaml': "),
+        ({"jobs_of": "../all.yaml"}, "'../all.yaml' is no name of a file beside this"),
+        ({"jobs_of": ["all.yaml"]}, "jobs_of: ['all.yaml'] is no name of a file"),
+        ({"jobs_of": ".."}, "jobs_of: '..'"),
+        ({"jobs_of": "q" * 5000}, "jobs_of: 'qqq"),
+        ({"jobs_of": "none.yaml"}, "jobs_of: 'none.yaml' has no jobs of its own; name"),
+        ({"jobs_of": "odd.yaml"}, "jobs of odd.yaml a: 'b\\x00' is no text that a"),
+        ({"jobs": {"two": {"script": "s.py"}}}, "job 'two' is also a job of jobs_of:"),
+        ({"jobs": ["two"]}, "jobs is missing, or is no mapping of names"),
+        ({"over": {"seed": [0]}}, "job three names {task}, which is no variable"),
+    ],
+)
+def test_jobs_that_cannot_be_shared_are_refused(
+    folder: Path, given: dict[str, Any], more: dict[str, Any], said: str
+) -> None:
+    (folder / "none.yaml").write_text("jobs_of: all.yaml\n")
+    (folder / "odd.yaml").write_text('jobs: {a: "b\\0"}\n')
+    assert said in refused(folder, shares(folder, given) | more)
+
+
 # -- Tables, and the rest --------------------------------------------------------------
 
 NO_NAMES = [[["task"]], {"task": 1}, 3, True, [{"task": 1}], [None], "q" * 5000]

@@ -21,6 +21,7 @@ from rlco.runs.compare.reading.plain_values import unusable
 from rlco.runs.compare.reading.problems import Problems
 from rlco.runs.compare.reading.read_jobs import read_jobs
 from rlco.runs.compare.reading.read_table import read_table
+from rlco.runs.compare.reading.shared_jobs import with_shared_jobs
 from rlco.runs.compare.templates import plain
 from rlco.runs.options import folder_name
 
@@ -38,6 +39,7 @@ def read_experiment(path: Path) -> Experiment:
           - {seed: 2, beta: 0}
         files:                   # SHA-256 of files in options that tables can be made
           weights.pth: b0353...  # without; may be left out
+        jobs_of: other.yaml      # has jobs that are named and not here; may be left out
         jobs:                    # each runs once for all values of what it names
           sim:
             script: recipes/record_demos.py
@@ -75,14 +77,15 @@ def read_experiment(path: Path) -> Experiment:
     # What is wrong with single values would also be in the way of all else.
     problems.extend(unusable(content))
     problems.refuse(path)
-    problems.known(
-        content, ("name", "over", "without", "files", "jobs", "table"), "the file"
-    )
+    known = ("name", "over", "without", "files", "jobs_of", "jobs", "table")
+    problems.known(content, known, "the file")
     name = _name(problems, content.get("name", path.stem))
     over = _over(problems, content.get("over"))
     without = _without(problems, content.get("without") or [], over)
     files = _files(problems, content["files"]) if "files" in content else {}
-    jobs = read_jobs(problems, content.get("jobs"), over, path.parent)
+    given = with_shared_jobs(problems, content, path.parent)
+    problems.refuse(path)  # of jobs that are not there more would be wrong
+    jobs = read_jobs(problems, given, over, path.parent)
     table = read_table(problems, content.get("table"), over, jobs)
     problems.refuse(path)
     return Experiment(name, over, jobs, table, without, files)
