@@ -30,10 +30,10 @@ def with_shared_jobs(
         folder: Of both files.
     """
     own = content.get("jobs")
-    if "jobs_of" not in content:
+    # What is no mapping of jobs is refused as such.
+    if "jobs_of" not in content or not isinstance(own, dict | None):
         return own
-    shared = _jobs_of(problems, content["jobs_of"], folder)
-    mine = own if isinstance(own, dict) else {}
+    shared, mine = _jobs_of(problems, content["jobs_of"], folder), own or {}
     problems.extend(
         f"job {shown(name)} is also a job of jobs_of: {shown(content['jobs_of'])}; "
         "give yours another name"
@@ -48,8 +48,7 @@ def with_shared_jobs(
             needed.add(name)
             wanted += _needs(shared[name])
     found = {name: job for name, job in shared.items() if name in needed}
-    # What is no mapping of jobs is refused with them.
-    return {**found, **mine} if own is None or isinstance(own, dict) else own
+    return {**found, **mine}
 
 
 def _jobs_of(problems: Problems, given: Any, folder: Path) -> dict[str, Any]:
