@@ -135,9 +135,9 @@ class Run:
         if config.resume is not None:
             self.path = Path(config.resume)
             info = run_folder.read_info(self.path, recipe)
-            check_unchanged(self.path, info, config)
+            inputs = check_unchanged(self.path, info, config)
             self._lock = run_folder.lock(self.path)
-            self._info = dict(info.content)
+            self._info = dict(info.content) | {"inputs": inputs}
             self._info["resumed"].append(run_folder.command_line())
         else:
             self._info = run_folder.origin(recipe)

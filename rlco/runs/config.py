@@ -292,7 +292,8 @@ def _check_unchanged(
     problems: list[str],
 ) -> None:
     for key in given:
-        if key not in options or options[key].may_change:
+        # A file may be elsewhere by now: `check_unchanged` decides by its content.
+        if key not in options or options[key].may_change or options[key].input:
             continue
         before, now = OmegaConf.select(saved, key), OmegaConf.select(config, key)
         if before != now:

@@ -54,7 +54,9 @@ def inputs_of(config: object) -> dict[str, dict[str, str]]:
     return found | ({_CODE: sources} if sources else {})
 
 
-def check_unchanged(path: Path, info: Fields, config: object) -> None:
+def check_unchanged(
+    path: Path, info: Fields, config: object
+) -> dict[str, dict[str, str]]:
     """Check that a run goes on with the options and the inputs that it began with.
 
     Runs from before these were written down are not checked.
@@ -62,7 +64,10 @@ def check_unchanged(path: Path, info: Fields, config: object) -> None:
     Args:
         path: The run's folder.
         info: Its run.json.
-        config: What it is to go on with, read from its config.yaml.
+        config: What it is to go on with, from its config.yaml and the command line.
+
+    Returns:
+        The inputs where they are now, see `inputs_of`.
 
     Raises:
         RlcoError: An option that may not change, or an input, is another one.
@@ -76,24 +81,36 @@ def check_unchanged(path: Path, info: Fields, config: object) -> None:
             continue
         if now[key] != value:
             raise RlcoError(
-                f"run {str(path)!r} was started with {key}={shown(value)}, and its "
-                f"config.yaml has {key}={shown(now[key])}: it was changed or cut off; "
-                "put it back, or start a new run."
+                f"run {str(path)!r} was started with {key}={shown(value)}, and now has "
+                f"{key}={shown(now[key])}, in its config.yaml or given; put it back, "
+                "or start a new run."
             )
     if not inputs:
-        return
+        return {}
     present = inputs_of(config)
     for key, before in inputs.items():
         if (key not in entries and key != _CODE) or not isinstance(before, dict):
             continue
         # Paths may differ: a run and its data may have been moved together.
-        if list(present.get(key, {}).values()) != list(before.values()):
+        found = present.get(key, {})
+        if key in began:
+            same = _by_content(now[key], found) == _by_content(began[key], before)
+        else:
+            same = list(found.values()) == list(before.values())
+        if not same:
             named = f"{key}={shown(now[key])}" if key in now else "code of your own"
             raise RlcoError(
                 f"{named} is not what run {str(path)!r} was started "
                 f"with ({', '.join(map(shown, before))}): its content differs or is "
-                "missing; put it back, or start a new run."
+                "missing; put it back, give it where it is now, or start a new run."
             )
+    return present
+
+
+def _by_content(value: Any, found: Mapping[str, str]) -> list[Any]:
+    """Return what an option says, with the content of a file for its path."""
+    values = value if isinstance(value, list) else [value]
+    return [found.get(one, one) if isinstance(one, str) else one for one in values]
 
 
 def check_checkpoint(path: Path, saved: Any, metrics: MetricsFile) -> None:

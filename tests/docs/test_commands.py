@@ -21,6 +21,7 @@ from arm_cases import write_arm
 from bench_runs import write_bench
 from commands import ROOT, Command, all_blocks
 from lift_cases import LIFT, write_lift
+from pages import write_results
 from recipe_cases import RL_CO, SFT, start
 
 import rlco.gap
@@ -152,7 +153,9 @@ def effective(command: Command) -> Effective:
         return command.text, frozenset()
     options = with_less(command.recipe, command.options)
     plain = ("out=", "seed=", "task=push_cube")
-    place = re.compile(r"=(?:demos/|outputs/|RUN/|CHECKPOINT|docs/example/|\.\.\.).*")
+    place = re.compile(
+        r"=(?:demos/|outputs/|RUN/|CHECKPOINT|docs/example/|benchmarks/|\.\.\.).*"
+    )
     kept = (place.sub("=PLACE", one) for one in options if not one.startswith(plain))
     return command.recipe, frozenset(kept)
 
@@ -195,6 +198,20 @@ def test_every_other_command_is_run_somewhere() -> None:
     others = [o for block in all_blocks() for o in block if o.text not in run]
     plain = {" ".join(one.words) for one in others}
     assert {t for t in plain if not t.startswith(tuple(ELSEWHERE))} == {"uv run"}
+
+
+def test_an_experiment_is_there_and_its_cells_are_where_its_tables_come_from() -> None:
+    """The first of these commands runs; tables of all of them have their own test."""
+    read = write_results().CELLS
+    shown = [one for one in itertools.chain(*all_blocks()) if one.recipe == "compare"]
+    given = [dict(word.split("=", 1) for word in one.options) for one in shown]
+    ours = [one for one in given if one["experiment"].startswith("benchmarks/")]
+    assert len([one for one in ours if "cells" in one]) > 10
+    for one in ours:
+        path = ROOT / one["experiment"]
+        assert path.is_file(), path
+        folder = f"benchmarks/cells/{read.get(path.stem, path.stem)}"
+        assert one.get("cells", folder) == folder
 
 
 def test_what_a_shell_would_expand_is_quoted() -> None:

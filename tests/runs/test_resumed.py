@@ -129,9 +129,8 @@ def test_an_input_that_is_another_or_gone(out: Path, demos: Path) -> None:
     other = demos.rename(demos.with_name("moved"))
     with pytest.raises(RlcoError, match=r"content differs or is missing"):
         resume(out)
-    text = (out / "config.yaml").read_text()
-    (out / "config.yaml").write_text(text.replace(str(demos), str(other)))
-    resume(out)  # data may move
+    resume(out, f"demos={other}")  # data may move
+    resume(out)  # and is found there from then on
     (other / "more").write_text("")
     with pytest.raises(RlcoError, match=r"is not what run"):
         resume(out)
@@ -163,6 +162,33 @@ def test_a_name_is_no_input_and_a_file_is(tmp_path: Path) -> None:
     file.write_text("effects: []\nnames: {}\n")
     with pytest.raises(RlcoError, match=r"domains=.* is not what run"):
         Run(replace(options, out=None, resume=str(tmp_path / "run")), "demo")
+
+
+@pytest.mark.parametrize(
+    "given", ["[stand_in,{moved}]", "[{moved},sim]", "[sim]", "[sim,{moved},{moved}]"]
+)
+def test_a_file_may_move_and_what_stands_beside_it_may_not(
+    tmp_path: Path, given: str
+) -> None:
+    file, moved = tmp_path / "gap.yaml", tmp_path / "moved.yaml"
+    file.write_text("effects: []\n")
+    with Run(Options(out=str(tmp_path / "run"), domains=["sim", str(file)]), "demo"):
+        pass
+    file.rename(moved)
+    resumed = [f"resume={tmp_path / 'run'}", "domains=" + given.format(moved=moved)]
+    with pytest.raises(RlcoError, match=r"domains=.* is not what run"):
+        Run(parse(Options, resumed, "demo.py"), "demo")
+    resumed[1] = f"domains=[sim,{moved}]"
+    with Run(parse(Options, resumed, "demo.py"), "demo"):
+        pass
+
+
+def test_a_name_cannot_become_another_one(tmp_path: Path) -> None:
+    with Run(Options(out=str(tmp_path / "run")), "demo"):
+        pass
+    resumed = [f"resume={tmp_path / 'run'}", "domains=[stand_in]"]
+    with pytest.raises(RlcoError, match=r"with domains=.*sim.*, and now has .*stand"):
+        Run(parse(Options, resumed, "demo.py"), "demo")
 
 
 def test_a_folder_with_the_name_of_a_domain_is_no_input(
