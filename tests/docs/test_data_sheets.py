@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import pytest
 from pages import DOCS, write_results
 
+from rlco.runs.compare.cells import Store
 from rlco.runs.compare.jobs import expand
 from rlco.runs.compare.reading.read_experiment import read_experiment
 
@@ -64,13 +64,14 @@ FROM_CELLS = {row[2].strip("`") for row in sheets() if "/experiments/" in row[2]
 
 
 @pytest.mark.parametrize("path", sorted(FROM_CELLS))
-def test_the_code_of_a_figure_of_cells_is_that_of_the_cells(path: str) -> None:
-    jobs = {job.name for job in expand(read_experiment(ROOT / path))}
-    folder = write_results().CELLS.get(Path(path).stem, Path(path).stem)
-    files = (ROOT / "benchmarks" / "cells" / folder).glob("*.json")
-    cells = [json.loads(file.read_text("utf-8")) for file in files]
-    # Experiments with jobs in common share a folder.
-    commits = {cell["commit"][:7] for cell in cells if cell["name"] in jobs}
+def test_the_code_of_a_figure_of_cells_is_that_of_the_cells(
+    path: str, tmp_path: Path
+) -> None:
+    name = Path(path).stem
+    folder = ROOT / "benchmarks" / "cells" / write_results().CELLS.get(name, name)
+    store = Store(tmp_path, folder, "any")
+    cells = store.find_all(expand(read_experiment(ROOT / path))).values()
+    commits = {cell.commit[:7] for cell in cells if cell.commit}
     for row in sheets():
         if row[2].strip("`") == path:
             assert set(re.findall(r"`([0-9a-f]{7})`", row[3])) == commits, row[0]

@@ -275,6 +275,31 @@ def test_results_of_older_code_are_used_on_request_and_marked(grid: Grid) -> Non
     assert "\\* with results of another version of the code" in grid.table
 
 
+def test_what_results_of_older_code_went_on_from_is_counted_with_them(
+    grid: Grid,
+) -> None:
+    grid.run()
+    older = {job.key for job in grid.jobs()}
+    (grid.folder / "beside.py").write_text("MORE = 1\n")
+    both = grid.content
+    grid.content = {**both, "jobs": {"first": both["jobs"]["first"]}}
+    grid.content["table"] = {"methods": {"first": {"job": "first"}}}
+    grid.content["over"] = {"seed": [1, 2, 3]}
+    assert len(grid.run()) == 3
+    newer = {job.key for job in grid.jobs()}
+    (grid.folder / "beside.py").write_text("MORE = 1 - 1\n")
+    store = Store(grid.folder / "out", None, "any")
+    alone = store.find_all(grid.jobs())
+    assert {cell.key for cell in alone.values()} == newer
+    grid.content = both
+    assert {cell.key for cell in store.find_all(grid.jobs()).values()} == older
+    # Where this version of the code has all, nothing older is counted.
+    grid.run()
+    jobs = grid.jobs()
+    store = Store(grid.folder / "out", None, "any")
+    assert {c.key for c in store.find_all(jobs).values()} == {j.key for j in jobs}
+
+
 def test_a_file_in_the_options_decides_by_what_is_in_it(grid: Grid) -> None:
     file = grid.folder / "effects.yaml"
     file.write_text("friction: 1")

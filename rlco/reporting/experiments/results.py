@@ -112,7 +112,7 @@ def made_by(jobs: Sequence[Job], store: Store) -> str:
 
     In Markdown; "" where none has finished.
     """
-    cells = [cell for job in jobs if (cell := store.find(job)) is not None]
+    cells = list(store.find_all(jobs).values())
     if not cells:
         return ""
     hours = sum(cell.cpu_seconds for cell in cells) / 3600

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Literal
@@ -168,6 +169,10 @@ def outcome(rows: Iterable[dict[str, Any]]) -> str:
     return hashlib.sha256(_compact(told).encode()).hexdigest()[:16]
 
 
+#: How a cell's options name the job that it read.
+_NEEDED = re.compile(r"job:([0-9a-f]+)")
+
+
 class Store:
     """Cells, by what they are of: those of a folder to commit, and those of runs.
 
@@ -197,6 +202,27 @@ class Store:
             return cell
         alike = [c for c in self._by_key.values() if c.identity == job.identity]
         return max(alike, key=lambda cell: cell.finished, default=None)
+
+    def find_all(self, jobs: Sequence[Job]) -> dict[Job, Cell]:
+        """Return the cells of jobs that come after what they need.
+
+        Where cells of several versions of the code may be used, one that others went
+        on from is theirs, also where another comparison has made it again since.
+        """
+        found: dict[Job, Cell] = {}
+        read: set[str] = set()
+        for job in reversed(jobs):
+            cell = self.find(job)
+            theirs = [
+                c for key in read if (c := self._by_key[key]).identity == job.identity
+            ]
+            if theirs and (cell is None or cell.key != job.key):
+                cell = max(theirs, key=lambda one: one.finished)
+            if cell is not None:
+                found[job] = cell
+                named = (_NEEDED.findall(value) for value in cell.options.values())
+                read |= {key for keys in named for key in keys if key in self._by_key}
+        return found
 
     def elsewhere(self, job: Job) -> bool:
         """Return whether a job went on from another run than the cells show."""
