@@ -99,6 +99,7 @@ def free_environments() -> Iterator[None]:
     yield
     if _resident() > before + 200e6:  # to look at a large heap takes a second
         gc.collect()
+        gc.freeze()  # what is left stays, as libraries do: not to be looked at again
         if sys.platform == "linux":  # freed, such memory stays with glibc's arenas
             ctypes.CDLL(None).malloc_trim(0)
 

@@ -8,6 +8,7 @@ wrote. Some are run by other tests, which then say what comes of them.
 from __future__ import annotations
 
 import functools
+import importlib
 import itertools
 import os
 import re
@@ -28,6 +29,7 @@ import rlco.gap
 from rlco import cli
 from rlco.physics.effects import EFFECTS
 from rlco.policies.tiny.smolvla import write_tiny_smolvla
+from rlco.runs.config import parse
 
 pytestmark = pytest.mark.slow
 
@@ -100,6 +102,15 @@ THOROUGH = (
     "uv run recipes/rl_co.py policy=... real_demos=... train_domain=gap_report/",
     "uv run recipes/lerobot_co_train.py policy=CHECKPOINT real_demos=demos/real",
     "PYTHONPATH=. uv run recipes/rl_co.py train_domain=my_domains:slippery",
+    "uv run recipes/sft.py real_demos=demos/stand_in sim_ratio=0",
+    "uv run recipes/record_demos.py task=open_drawer",
+    "uv run recipes/record_demos.py out=demos/sim camera=agentview",
+    "uv run recipes/sft.py sim_demos=demos/sim real_demos=demos/stand_in domain_flag",
+    "uv run recipes/sft.py task=null real_demos=demos/my_arm image=conv",
+    "uv run recipes/rl_co.py policy=outputs/sft/RUN/policy real_coeff=0",
+    "uv run recipes/check_expert.py task=pick_and_place noise",
+    "uv run recipes/evaluate.py policy=outputs/sft/RUN/policy task=open_drawer",
+    "uv run recipes/compare.py experiment=benchmarks/experiments/paper.yaml",
 )
 # What a page cannot run here: it needs a network, a robot, hours, or is run elsewhere.
 ELSEWHERE = {
@@ -212,6 +223,17 @@ def test_an_experiment_is_there_and_its_cells_are_where_its_tables_come_from() -
         assert path.is_file(), path
         folder = f"benchmarks/cells/{read.get(path.stem, path.stem)}"
         assert one.get("cells", folder) == folder
+
+
+def test_a_recipe_takes_the_options_that_a_page_gives_it() -> None:
+    for command in itertools.chain(*distinct_blocks()):
+        if command.recipe is None or command.options == ["help"]:
+            continue
+        recipe = importlib.import_module(command.recipe)
+        given = [one for one in command.options if not one.startswith("resume=")]
+        if len(given) < len(command.options):  # the others are those of that run
+            given.append("policy=RUN/policy")
+        parse(recipe.Config, given, ROOT / "recipes" / f"{command.recipe}.py")
 
 
 def test_what_a_shell_would_expand_is_quoted() -> None:
