@@ -106,10 +106,7 @@ THOROUGH = (
     "uv run recipes/record_demos.py task=open_drawer",
     "uv run recipes/record_demos.py out=demos/sim camera=agentview",
     "uv run recipes/sft.py sim_demos=demos/sim real_demos=demos/stand_in domain_flag",
-    "uv run recipes/sft.py task=null real_demos=demos/my_arm image=conv",
     "uv run recipes/rl_co.py policy=outputs/sft/RUN/policy real_coeff=0",
-    "uv run recipes/check_expert.py task=pick_and_place noise",
-    "uv run recipes/evaluate.py policy=outputs/sft/RUN/policy task=open_drawer",
     "uv run recipes/compare.py experiment=benchmarks/experiments/paper.yaml",
 )
 # What a page cannot run here: it needs a network, a robot, hours, or is run elsewhere.

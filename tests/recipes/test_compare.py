@@ -287,8 +287,12 @@ def test_what_results_of_older_code_went_on_from_is_counted_with_them(
     grid.content["over"] = {"seed": [1, 2, 3]}
     assert len(grid.run()) == 3
     newer = {job.key for job in grid.jobs()}
-    (grid.folder / "beside.py").write_text("MORE = 1 - 1\n")
     store = Store(grid.folder / "out", None, "any")
+    firsts, grid.content = grid.content, both
+    # Also where it was made again by this very version of the code.
+    assert {cell.key for cell in store.find_all(grid.jobs()).values()} == older
+    grid.content = firsts
+    (grid.folder / "beside.py").write_text("MORE = 1 - 1\n")
     alone = store.find_all(grid.jobs())
     assert {cell.key for cell in alone.values()} == newer
     grid.content = both

@@ -216,7 +216,7 @@ class Store:
             theirs = [
                 c for key in read if (c := self._by_key[key]).identity == job.identity
             ]
-            if theirs and (cell is None or cell.key != job.key):
+            if theirs:
                 cell = max(theirs, key=lambda one: one.finished)
             if cell is not None:
                 found[job] = cell
