@@ -24,17 +24,17 @@ choose_gl()
 # takes over what was compiled.
 DEAREST = (
     "docs/test_commands.py",
-    "gap/search/test_verdicts.py",
+    "recipes/test_compare.py",
     "gap/search/test_find_gap.py",
     "policies/vla/test_lerobot_policies.py",
     "recipes/test_chain.py",
-    "envs/test_effects.py",
+    "gap/report/test_gap_report.py",
     "test_cli.py",
+    "envs/test_effects.py",
     "physics/native/test_same_physics_of_tasks.py",
-    "recipes/test_lerobot_co_train.py",
-    "recipes/test_domains_in_recipes.py",
-    "recipes/test_evaluate.py",
+    "collectors/test_ray_rollouts.py",
     "recipes/test_find_gap_recipe.py",
+    "docs/test_results_pages.py",
 )
 
 
@@ -69,9 +69,12 @@ def rendering() -> None:
         pytest.skip(f"no OpenGL library: {error}")
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def ray_cluster() -> Iterator[None]:
-    """Start a Ray cluster of two processors, or use the one that RAY_ADDRESS names."""
+    """Start a Ray cluster of two processors, or use the one that RAY_ADDRESS names.
+
+    Not for the session: its processes take a fifteenth of a processor while they wait.
+    """
     from rlco.errors import LostProcessError
     from rlco.runs.ray_cluster import connect, disconnect
 

@@ -140,7 +140,7 @@ def test_the_wheel_finds_what_the_example_lacks(
     installed: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "logs").mkdir()
-    for log in (EXAMPLE / "logs").iterdir():  # their first four seconds
+    for log in sorted((EXAMPLE / "logs").iterdir())[:2]:  # their first four seconds
         rows = log.read_text().splitlines(keepends=True)[:200]
         (tmp_path / "logs" / log.name).write_text("".join(rows))
     given = [f"model={EXAMPLE / 'arm.xml'}", "data=logs", "out=gap_report"]

@@ -134,6 +134,7 @@ def load_servo(servo: Servo, pendulum: Pendulum) -> LoadedModel:
 
 def _load_task(name: str) -> LoadedModel:
     # robosuite takes seconds to import, which users' own models should not wait for.
+    from rlco.physics.robosuite.faster.release import release
     from rlco.physics.robosuite.robosuite_api import robosuite
     from rlco.physics.robosuite.tabletop import Tabletop
     from rlco.physics.robosuite.tasks import make_plain
@@ -147,6 +148,7 @@ def _load_task(name: str) -> LoadedModel:
         raise UnknownNameError("task", task, (*TASK_NAMES, *theirs))
     env = make_robosuite(task) if task in TASK_NAMES else make_plain(task)
     source = env.edit_model_xml(env.model.get_xml())
+    release(env)
     slim = prune(mujoco.MjSpec.from_string(source))
     return LoadedModel(
         name=task,

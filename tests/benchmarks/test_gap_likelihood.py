@@ -71,6 +71,7 @@ def test_another_effect_at_the_joint_is_refuted(case: tuple[Logged, Row]) -> Non
     assert distinguishable(evidence(logged, friction, truth))
 
 
+@pytest.mark.thorough
 def test_a_plant_that_diverges_is_no_evidence(
     case: tuple[Logged, Row], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

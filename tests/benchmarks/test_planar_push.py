@@ -279,6 +279,7 @@ def test_stage_one_reports_three_methods_in_two_domains(stage_one: Path) -> None
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_the_same_seed_gives_the_same_and_a_resumed_run_too(
     stage_one: Path, tmp_path: Path
 ) -> None:
@@ -317,6 +318,7 @@ def test_a_stage_two_without_a_policy_is_refused(
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_the_version_of_its_code_covers_all_that_it_loads(
     stage_one: Path, tmp_path: Path
 ) -> None:

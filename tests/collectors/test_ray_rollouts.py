@@ -80,6 +80,7 @@ def test_workers_act_by_the_weights_of_now(remote: RolloutCollector) -> None:
     assert gap.abs().max() < 1e-4
 
 
+@pytest.mark.thorough
 def test_a_killed_worker_is_started_again_and_its_rollout_is_the_same(
     remote: RolloutCollector, caplog: pytest.LogCaptureFixture
 ) -> None:

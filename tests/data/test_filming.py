@@ -23,14 +23,14 @@ SIZE = (64, 64)
 
 @pytest.mark.usefixtures("rendering")
 def test_pictures_are_the_environments_at_each_control_step() -> None:
-    # Noise enough that most episodes of this seed fail and are passed over.
-    options = {"episodes": 1, "seed": 12, "noise": 1.0}
+    # Noise enough that the first episodes of this seed fail and are passed over.
+    options = {"episodes": 1, "seed": 2, "noise": 1.0}
     plain = demonstrate(TASK, SIM, num_envs=4, **options)
     filmed = film_demonstrations(
         TASK, SIM, camera="agentview", image_size=SIZE, **options
     )
-    starts = make_env(TASK, num_envs=20, seed=12).reset()[STATE]
-    env = make_env(TASK, image_size=SIZE, seed=12)
+    starts = make_env(TASK, num_envs=4, seed=2).reset()[STATE]
+    env = make_env(TASK, image_size=SIZE, seed=2)
     episodes = []
     for (one, images), other in zip(filmed, plain, strict=True):
         np.testing.assert_array_equal(one.action, other.action)

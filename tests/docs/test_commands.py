@@ -108,6 +108,8 @@ THOROUGH = (
     "uv run recipes/sft.py sim_demos=demos/sim real_demos=demos/stand_in domain_flag",
     "uv run recipes/rl_co.py policy=outputs/sft/RUN/policy real_coeff=0",
     "uv run recipes/compare.py experiment=benchmarks/experiments/paper.yaml",
+    "uv run recipes/record_logs.py domain=stand_in",
+    "uv run recipes/check_expert.py task=push_cube",
 )
 # What a page cannot run here: it needs a network, a robot, hours, or is run elsewhere.
 ELSEWHERE = {

@@ -183,7 +183,7 @@ def both_ways(**options: Any) -> tuple[TensorDictBase, TensorDictBase]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("reward", ["shaped", "sparse"])
-@pytest.mark.parametrize("chunk", [1, 4])
+@pytest.mark.parametrize("chunk", [pytest.param(1, marks=pytest.mark.thorough), 4])
 def test_by_way_of_gymnasium_the_same_comes_out(chunk: int, reward: str) -> None:
     from rlco.physics.effects import AppliedEffect
     from rlco.physics.spec.domain import Domain
@@ -271,6 +271,7 @@ def test_torchrls_mujoco_tasks_step_as_they_do_by_themselves() -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("rendering")
+@pytest.mark.thorough
 def test_torchrls_wrapper_for_libero_has_rlcos_entries() -> None:
     env = from_vla(partial(libero_lift, horizon=5), chunk=4)
     check_env_specs(env)

@@ -216,6 +216,7 @@ def test_reports_show_before_after_and_the_difference(
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_the_recipe_tells_calibration_and_finding_apart(
     files: Path, tmp_path: Path
 ) -> None:

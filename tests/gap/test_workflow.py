@@ -116,6 +116,7 @@ def test_an_interrupted_search_is_returned_and_can_be_written(
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_an_interruption_after_the_search_keeps_its_verdict(
     case: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:

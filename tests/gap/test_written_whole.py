@@ -113,6 +113,7 @@ def check_left(finding: Finding, folder: Path, whole: dict[str, bytes]) -> None:
     assert not part.exists()
 
 
+@pytest.mark.thorough
 def test_a_report_killed_at_any_call_is_whole_or_refused(
     finding: Finding, whole: dict[str, bytes], tmp_path: Path
 ) -> None:

@@ -195,7 +195,9 @@ def test_what_a_ppo_trainer_asks_for() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("functional", [True, False])
+@pytest.mark.parametrize(
+    "functional", [pytest.param(True, marks=pytest.mark.thorough), False]
+)
 def test_compiles_as_one_graph_with_the_same_gradients(functional: bool) -> None:
     policy, loss, batch = make_loss(functional, functional)
     parameters = list(policy.parameters())

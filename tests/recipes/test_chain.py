@@ -208,6 +208,7 @@ def weights(folder: Path) -> bytes:
     return (folder / "policy.safetensors").read_bytes()
 
 
+@pytest.mark.thorough
 def test_the_policy_of_the_best_evaluation_is_kept(
     inputs: dict[str, list[str]], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -279,6 +280,7 @@ def test_a_killed_run_keeps_the_same_best_policy(
     assert weights(cut / "policy_last") != weights(cut / "policy")
 
 
+@pytest.mark.thorough
 def test_a_start_that_is_never_beaten_is_kept(
     assets: Assets,
     inputs: dict[str, list[str]],

@@ -44,6 +44,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.thorough
 def test_what_is_hidden_is_found_from_the_logs(run: Path) -> None:
     (hidden,) = read_effects(run / "hidden.yaml").effects
     (found,) = read_effects(run / "gap" / "effects.yaml").effects
@@ -56,6 +57,7 @@ def test_what_is_hidden_is_found_from_the_logs(run: Path) -> None:
     assert gap["after"]["heldout_rms"] < 0.5 * gap["before"]["heldout_rms"]
 
 
+@pytest.mark.thorough
 def test_logs_hold_what_a_robot_could_tell(run: Path) -> None:
     files = sorted((run / "logs").glob("*.npz"))
     assert len(files) == 6
@@ -69,6 +71,7 @@ def test_logs_hold_what_a_robot_could_tell(run: Path) -> None:
     assert "joint_offset" not in (run / "nominal.xml").read_text()
 
 
+@pytest.mark.thorough
 def test_each_method_is_trained_and_evaluated_where_the_effect_is(run: Path) -> None:
     rows = json.loads((run / "results.json").read_text())["rows"]
     assert [row["method"] for row in rows] == ["nominal", "corrected", "oracle"]

@@ -79,6 +79,7 @@ def stage_two(assets: Assets) -> list[str]:
 # -- Where a recipe trains and evaluates -------------------------------------------
 
 
+@pytest.mark.thorough
 def test_rl_trains_in_the_simulator_that_a_file_describes(
     assets: Assets, damped: Path, tmp_path: Path
 ) -> None:

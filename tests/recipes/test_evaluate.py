@@ -30,6 +30,7 @@ def filmed(assets: Assets, out: Path, *options: str) -> Any:
 
 
 @pytest.mark.usefixtures("rendering")
+@pytest.mark.thorough
 def test_the_films_show_the_effects(assets: Assets, tmp_path: Path) -> None:
     effects = tmp_path / "effects.yaml"
     # The arm gives way to it at once.

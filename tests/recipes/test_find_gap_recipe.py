@@ -241,6 +241,7 @@ def test_only_the_first_ctrl_c_ends_what_runs_and_none_the_writing() -> None:
         signal.signal(signal.SIGINT, before)
 
 
+@pytest.mark.thorough
 def test_ctrl_c_after_the_search_loses_nothing(
     case: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -262,6 +263,7 @@ def test_ctrl_c_after_the_search_loses_nothing(
     assert json.loads((tmp_path / "out" / "report.json").read_text())["complete"]
 
 
+@pytest.mark.thorough
 def test_what_a_killed_search_left_is_begun_anew_or_refused(
     capsys: Capture, case: list[str], tmp_path: Path
 ) -> None:

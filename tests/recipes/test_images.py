@@ -334,6 +334,7 @@ def test_a_scene_is_the_same_in_every_domain() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_quickstart_tells_its_story_from_images_alone(tmp_path: Path) -> None:
     folder = tmp_path / "quick"
     few = ["sim_demos=1", "real_demos=1", "heldout_demos=1", "updates=2", "film=false"]

@@ -108,6 +108,7 @@ def test_a_resumed_run_ends_alike_and_draws_no_scene_again(
     assert ends_alike(cut, whole)
 
 
+@pytest.mark.thorough
 def test_a_run_that_was_stopped_after_pretraining_goes_on_from_it(
     drawn: Drawn, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -217,13 +217,8 @@ def told(run: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
-@pytest.mark.parametrize(
-    "options",
-    [
-        pytest.param([], marks=pytest.mark.thorough),
-        ["trained=lora", "lora_rank=2"],
-    ],
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("options", [[], ["trained=lora", "lora_rank=2"]])
 def test_a_resumed_run_equals_an_uninterrupted_one(
     tiny: Path, tmp_path: Path, options: list[str]
 ) -> None:

@@ -72,6 +72,7 @@ def learned(
     return in_two_ranks(learn, folder, given, folder, groups=3), folder
 
 
+@pytest.mark.thorough
 def test_two_ranks_write_one_run_of_the_frames_of_both(
     learned: tuple[Found, Path], assets: Assets
 ) -> None:
@@ -88,6 +89,7 @@ def test_two_ranks_write_one_run_of_the_frames_of_both(
     assert (folder / "whole" / "policy" / "policy.safetensors").is_file()
 
 
+@pytest.mark.thorough
 def test_a_rank_that_is_left_alone_says_so_in_a_sentence(
     learned: tuple[Found, Path],
 ) -> None:
@@ -98,6 +100,7 @@ def test_a_rank_that_is_left_alone_says_so_in_a_sentence(
     assert second["said"].endswith("start it again with resume=DIR.\n")
 
 
+@pytest.mark.thorough
 def test_ranks_resume_to_what_they_would_have_come_to(
     learned: tuple[Found, Path],
 ) -> None:
@@ -133,6 +136,7 @@ def test_torchrun_itself_starts_the_same_run(
 # -- Workers of Ray --------------------------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_workers_of_ray_play_and_a_resumed_run_goes_on_without_them(
     assets: Assets, ray_cluster: None, tmp_path: Path
 ) -> None:

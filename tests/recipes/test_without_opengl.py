@@ -56,7 +56,6 @@ def without_opengl(script: str, *arguments: str) -> str:
     return done.stdout
 
 
-@pytest.mark.thorough
 def test_an_environment_draws_without_opengl() -> None:
     script = """
 from rlco.envs import make_env
@@ -68,6 +67,7 @@ print(len(image.unique()) > 50)
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_both_stages_train_from_images_without_opengl(tmp_path: Path) -> None:
     demos, first, second = (tmp_path / name for name in ("demos", "sft", "rl_co"))
     # The recommended encoder: its labelled scenes are drawn here, too.

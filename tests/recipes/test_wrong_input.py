@@ -240,7 +240,9 @@ def test_a_data_set_that_cannot_be_used(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("recipe", ["sft", "rl_co"])
+@pytest.mark.parametrize(
+    "recipe", ["sft", pytest.param("rl_co", marks=pytest.mark.thorough)]
+)
 def test_renaming_a_feature_makes_such_a_data_set_usable(
     assets: Assets, inputs: dict[str, list[str]], tmp_path: Path, recipe: str
 ) -> None:

@@ -59,11 +59,8 @@ def policy_of(kind: str) -> Any:
     return GaussianPolicy(2, chunk=1, image=image, hidden=(8,))
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("augmentation", "passes"),
-    [pytest.param(None, 50, marks=pytest.mark.thorough), (SHIFT, 30)],
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize(("augmentation", "passes"), [(None, 50), (SHIFT, 30)])
 def test_positions_relative_to_the_tool_are_read_from_new_images(
     augmentation: Augmentation | None, passes: int
 ) -> None:

@@ -100,6 +100,7 @@ class NativeStepper:
             drawn=drawn_models_of(source.sim),
         )
         self.tracked = tracked_of(source)
+        source.close()
         self.features: Array = np.zeros((num_envs, feature_count(self.tracked)))
         self.goals = np.zeros((num_envs, len(task.goals), POSE_SIZE))
         self.instruction_id = np.zeros(num_envs, dtype=np.int64)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from rlco.errors import RlcoError, UnknownNameError
 from rlco.physics.mj.model_struct import array_fields
-from rlco.physics.robosuite.contact_check import ContactCheck
-from rlco.physics.robosuite.fast_reset import FastReset, make_reset_cheap
+from rlco.physics.robosuite.faster.contact_check import ContactCheck
+from rlco.physics.robosuite.faster.fast_reset import FastReset, make_reset_cheap
 from rlco.physics.robosuite.global_random import seed_all, seeded
 from rlco.physics.robosuite.read_control import refuse_unsupported
 from rlco.physics.robosuite.robosuite_api import (

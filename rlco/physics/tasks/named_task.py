@@ -7,6 +7,7 @@ from functools import cache
 
 from rlco.errors import RlcoError
 from rlco.physics.effects.effects_file import EffectsFile
+from rlco.physics.robosuite.faster.release import release
 from rlco.physics.robosuite.options import PREFIX, check_one_arm
 from rlco.physics.robosuite.tabletop import Tabletop
 from rlco.physics.robosuite.tasks import RobosuiteTask, make_plain
@@ -98,7 +99,7 @@ def check_robosuite_domain(task: str, domain: Domain) -> None:
 def _compile(task: str, domain: Domain) -> None:
     if task.startswith(PREFIX):
         effects = EffectsFile(domain.effects)
-        make_plain(task.removeprefix(PREFIX), effects=effects).close()
+        release(make_plain(task.removeprefix(PREFIX), effects=effects))
     else:
         Tabletop(make_task(task), domain).close()
 
@@ -111,4 +112,4 @@ def _of_robosuite(name: str) -> RobosuiteTask:
         env.reset()
         return RobosuiteTask.of(name, env)
     finally:
-        env.close()
+        release(env)

@@ -191,6 +191,7 @@ def test_more_channels_do_not_make_the_answer_worse(
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_torques_confirm_what_positions_named(tmp_path: Path) -> None:
     case = write(tmp_path / "case", recorded("mean", damping=3.0, late=3))
     finding = run_gap(*case, threads=1, exclude=set(EFFECTS) - LIBRARY)

@@ -60,6 +60,7 @@ def write(log: Log, folder: Path) -> Path:
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_a_friction_that_fell_is_named_and_written(tmp_path: Path) -> None:
     def rubs(model: mujoco.MjModel) -> None:
         model.dof_frictionloss[1] = 0.06

@@ -95,6 +95,7 @@ HELD = AppliedEffect(
 @pytest.mark.parametrize(
     "domain", [SIM, STAND_IN, Domain("held", (HELD,))], ids=lambda d: d.name
 )
+@pytest.mark.thorough
 def test_without_what_is_only_drawn_the_task_moves_the_same(domain: Domain) -> None:
     robot = NativeStepper(TASK, domain, num_envs=EPISODES, threads=1)
     plants = Plants(TASK, domain)
@@ -148,6 +149,7 @@ def test_the_slim_model_of_a_drawer_keeps_every_inertia() -> None:
 # -- What a log tells of the state --------------------------------------------------
 
 
+@pytest.mark.thorough
 def test_states_are_told_from_the_tool_and_the_scene() -> None:
     log, truth = record(seed=1)
     problem = problem_of(log)
@@ -163,6 +165,7 @@ def test_states_are_told_from_the_tool_and_the_scene() -> None:
             assert np.sqrt((off**2).mean()) < 0.8e-3
 
 
+@pytest.mark.thorough
 def test_without_a_gap_replays_stay_within_the_noise() -> None:
     problem = plain()
     assert sizes(problem, [Hypothesis()])[0] < 1.1
@@ -321,6 +324,7 @@ def test_only_what_can_show_is_a_candidate() -> None:
     assert not [c for c in found if c.name in ("backlash", "velocity_limit")]
 
 
+@pytest.mark.thorough
 def test_a_search_starts_from_damping_that_moves_the_tool_at_every_joint() -> None:
     # The controller makes up for as much as the model has, 0.1 N m s/rad: of the first
     # six joints, that moves the tool by 0.04 to 0.4 of the noise.

@@ -424,6 +424,7 @@ def free_form() -> FreeForm:
     return FreeForm("elbow", 0.4, *(np.stack([k * knots, -knots]) for k in (1, 2, 9)))
 
 
+@pytest.mark.thorough
 def test_what_acts_outside_the_library_is_said_and_drawn(problem: Arm) -> None:
     verdict = replace(named(problem), free_form=free_form())
     assert headline(verdict).startswith("Something outside the library acts at elbow")
@@ -438,7 +439,10 @@ def test_what_acts_outside_the_library_is_said_and_drawn(problem: Arm) -> None:
     assert free_form_section(None, None) == ""
 
 
-@pytest.mark.parametrize(("kind", "unit"), [("hinge", "rad"), ("slide", "m")])
+@pytest.mark.parametrize(
+    ("kind", "unit"),
+    [("hinge", "rad"), pytest.param("slide", "m", marks=pytest.mark.thorough)],
+)
 def test_a_free_form_is_drawn_in_its_joints_units_whatever_the_residuals_are_in(
     problem: Arm, monkeypatch: pytest.MonkeyPatch, kind: str, unit: str
 ) -> None:

@@ -117,6 +117,7 @@ def test_an_effect_outside_the_library_is_left_unexplained_and_located() -> None
     assert "position" in str(verdict.unexplained["note"])
 
 
+@pytest.mark.thorough
 def test_what_is_excluded_is_not_named() -> None:
     def hide(model: mujoco.MjModel) -> None:
         model.dof_frictionloss[1] = 0.15
@@ -137,6 +138,7 @@ def test_an_interruption_keeps_the_best_so_far() -> None:
     assert ("actuator_gain", "shoulder") in _names(verdict)
 
 
+@pytest.mark.thorough
 def test_an_interruption_of_its_end_loses_nothing_of_a_search(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -46,6 +46,7 @@ def finding(tmp_path_factory: pytest.TempPathFactory) -> Finding:
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_a_loss_is_named_beside_the_servos_own_numbers(finding: Finding) -> None:
     verdict = finding.verdict
     (loss,) = verdict.effects

@@ -114,6 +114,7 @@ def test_rivals_are_looked_for_where_all_first_looks_were_forgotten() -> None:
     assert finding.rivals
 
 
+@pytest.mark.thorough
 def test_what_did_as_well_at_an_earlier_step_is_tried_as_a_rival(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -76,6 +76,7 @@ def test_both_backends_give_robosuites_own_pixels(backend: Any) -> None:
     env.close()
 
 
+@pytest.mark.thorough
 def test_another_robosuite_task_is_drawn_alike() -> None:
     import robosuite
 

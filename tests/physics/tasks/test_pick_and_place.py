@@ -46,6 +46,7 @@ def test_the_expert_solves_95_percent_in_every_domain(domain: Domain) -> None:
     assert solved(TASK, domain, 20).mean() >= 0.95
 
 
+@pytest.mark.thorough
 def test_a_training_episode_is_long_enough_in_the_slower_domain() -> None:
     assert solved(TASK, STAND_IN, 20, steps=TASK.training_horizon).mean() >= 0.95
 

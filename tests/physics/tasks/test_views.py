@@ -200,14 +200,8 @@ def test_a_gymnasium_environment_shows_the_same_frames() -> None:
 
 
 @NEEDS_GL
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param("stand_in", marks=pytest.mark.thorough),
-        pytest.param("locked", marks=pytest.mark.thorough),
-        "random",
-    ],
-)
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", ["stand_in", "locked", "random"])
 def test_both_renderers_draw_a_look_alike(name: str) -> None:
     look = LOOKS[name]
     if not isinstance(look, Look):

@@ -27,7 +27,7 @@ from rlco.training.distributed.ranks import Ranks, join_ranks, leave_ranks
 from rlco.training.lerobot_stage import make_large_learner
 from rlco.training.stage_two import make_ppo
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.thorough]
 
 UPDATES = 3
 #: Two minibatches of one update; of each a rank has 3 and 1 decisions, 1 and 2 rows.

@@ -100,6 +100,7 @@ class Plants:
         self._tracked = tracked_of(source)
         full = source.sim.model._model
         self._bodies = [full.body(i).name for i in source.object_ids.tolist()]
+        source.close()
         self.plain = _compiled(self.spec)
         self._effects = tuple(
             checked(self.plain, effect, controlled=True)

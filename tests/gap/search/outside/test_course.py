@@ -217,6 +217,7 @@ def _searched(problem: ArmRollouts, *names: str) -> State:
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_an_effect_is_named_at_the_joint_whose_encoder_errs(
     eccentric: ArmRollouts,
 ) -> None:

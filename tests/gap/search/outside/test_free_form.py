@@ -55,6 +55,7 @@ def doubted() -> FreeForm:
     return found.free_form
 
 
+@pytest.mark.thorough
 def test_what_is_outside_is_told_at_its_joint(doubted: FreeForm) -> None:
     assert doubted.target == "shoulder"
     assert doubted.gain > 0.25

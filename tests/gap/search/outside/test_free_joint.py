@@ -61,6 +61,7 @@ def knocked() -> Verdict:
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_an_effect_is_named_beside_knocks_at_another_joint(knocked: Verdict) -> None:
     (named,) = knocked.effects
     assert (named.name, named.target) == ("viscous_damping", "elbow")

@@ -65,6 +65,7 @@ def test_one_number_that_is_off_by_more_than_the_spread_is_named() -> None:
     assert effect.values[0] == pytest.approx(own * (_DAMPING - 1.0), rel=0.05)
 
 
+@pytest.mark.thorough
 def test_it_is_not_where_other_numbers_are_off_too() -> None:
     state = _searched(_damped_and_off)
     assert exact_model(state).best is state.best
@@ -130,6 +131,7 @@ def test_what_runs_to_its_bounds_leaves_no_gap_where_the_spread_would_do() -> No
     ("noise", "damping"),
     [(4e-4, 0.97), (1e-3, 1.0)],  # the second is within the noise of what is found
 )
+@pytest.mark.thorough
 def test_friction_is_known_no_better_than_the_stiffness_that_it_is_told_by(
     noise: float, damping: float
 ) -> None:

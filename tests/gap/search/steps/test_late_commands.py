@@ -107,6 +107,7 @@ def test_commands_at_later_times_equal_a_constant_delay() -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.thorough
 def test_late_commands_are_named_with_the_distribution_of_their_times() -> None:
     problem = _problem(_late(MEAN, SPREAD))
     found = find_gap(problem, exclude=_others(problem))

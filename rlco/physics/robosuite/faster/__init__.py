@@ -1,0 +1,1 @@
+"""What robosuite does, without its unnecessary work."""
