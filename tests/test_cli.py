@@ -14,6 +14,8 @@ from pathlib import Path
 import pytest
 
 from rlco import cli
+from rlco.physics.effects import AppliedEffect
+from rlco.physics.effects.effects_file import write_effects
 
 pytestmark = pytest.mark.slow
 
@@ -136,14 +138,36 @@ def test_the_wheel_says_where_it_is(installed: Path, tmp_path: Path) -> None:
     assert run(installed, tmp_path, "--version").strip() == rlco_version()
 
 
-def test_the_wheel_finds_what_the_example_lacks(
-    installed: Path, tmp_path: Path
-) -> None:
-    (tmp_path / "logs").mkdir()
-    for log in sorted((EXAMPLE / "logs").iterdir())[:2]:  # their first four seconds
+@pytest.fixture
+def logs(tmp_path: Path) -> Path:
+    """Write the first four seconds of two of the example's recordings."""
+    folder = tmp_path / "logs"
+    folder.mkdir()
+    for log in sorted((EXAMPLE / "logs").iterdir())[:2]:
         rows = log.read_text().splitlines(keepends=True)[:200]
-        (tmp_path / "logs" / log.name).write_text("".join(rows))
-    given = [f"model={EXAMPLE / 'arm.xml'}", "data=logs", "out=gap_report"]
+        (folder / log.name).write_text("".join(rows))
+    return folder
+
+
+def test_the_wheel_checks_an_effect(
+    installed: Path, logs: Path, tmp_path: Path
+) -> None:
+    late = AppliedEffect("command_delay", None, {"delay": 0.036})
+    write_effects(tmp_path / "late.yaml", [late])
+    given = [f"model={EXAMPLE / 'arm.xml'}", f"data={logs}", "check=late.yaml"]
+    run(installed, tmp_path, "find_gap", *given, "out=check")
+    found = json.loads((tmp_path / "check" / "check.json").read_text())
+    assert all(
+        after < 0.4 * before
+        for before, after in zip(found["before"], found["after"], strict=True)
+    )
+
+
+@pytest.mark.thorough
+def test_the_wheel_finds_what_the_example_lacks(
+    installed: Path, logs: Path, tmp_path: Path
+) -> None:
+    given = [f"model={EXAMPLE / 'arm.xml'}", f"data={logs}", "out=gap_report"]
     run(installed, tmp_path, "find_gap", *given, "film=false")
     report = json.loads((tmp_path / "gap_report" / "report.json").read_text())
     found = {one["name"]: one["parameters"] for one in report["effects"]}

@@ -152,9 +152,9 @@ def _figures(run_dir: Path) -> str:
 def _videos(run_dir: Path) -> str:
     parts = []
     for path in sorted((run_dir / "videos").glob("*.mp4")):
-        name = escape(path.stem.replace("_", " "))
+        name = f"<code>videos/{escape(path.name)}</code>"
         if path.stat().st_size > _VIDEO_LIMIT:
-            parts.append(f'<p class="quiet">{name}: videos/{escape(path.name)}</p>')
+            parts.append(f'<p class="quiet">{name}</p>')
         else:
             with reading(path, what="video"):
                 source = data_address(path.read_bytes(), "video/mp4")

@@ -82,7 +82,7 @@ def test_an_expert_that_stops_short_is_filmed_and_told_to_aim_beyond(
         )
     told = str(caught.value)
     film = tmp_path / "demos_episode_0.mp4"
-    for words in ("0 of 40", "in 0-39 of seed 3", "aim beyond", str(film)):
+    for words in ("0 of 40", "in episodes 0-39 of seed 3", "aim beyond", str(film)):
         assert words in told
     frames = imageio.imread(film, plugin="pyav")
     assert frames.shape == (40, 240, 320, 3)

@@ -64,8 +64,9 @@ LESS: dict[str, dict[str, object]] = {
 }
 # Where a page leaves it open; a test of the quickstart has all of them.
 OPEN = {"quickstart": {"methods": "[rl_co]", "eval_domains": "[sim]"}}
-# Run by a test that also looks at what comes of it: the quickstart with as little, the
-# search of all effects, on the model and the first seconds of the logs of docs/example.
+# Run by a test that also looks at what comes of it (some with `-m thorough` alone): the
+# quickstart with as little, the search of all effects, on the model and the first
+# seconds of logs of docs/example.
 RUN_BY = {
     "quickstart.py": "recipes/test_chain.py",
     "quickstart.py image=dense": "recipes/test_images.py",
@@ -110,6 +111,9 @@ THOROUGH = (
     "uv run recipes/compare.py experiment=benchmarks/experiments/paper.yaml",
     "uv run recipes/record_logs.py domain=stand_in",
     "uv run recipes/check_expert.py task=push_cube",
+    "uv run recipes/align.py",
+    "PYTHONPATH=. uv run recipes/sft.py task=my_task:TASK",
+    "PYTHONPATH=. uv run recipes/rl_co.py task=my_task:TASK",
 )
 # What a page cannot run here: it needs a network, a robot, hours, or is run elsewhere.
 ELSEWHERE = {
@@ -172,11 +176,15 @@ def effective(command: Command) -> Effective:
 
 def blocks_to_run() -> list[list[Command]]:
     """Return the distinct blocks, less what a longer one or another test runs."""
-    done = {effective(Command("", f"uv run recipes/{one}")) for one in RUN_BY}
+    elsewhere = {effective(Command("", f"uv run recipes/{one}")) for one in RUN_BY}
+    done = set(elsewhere)
     left = []
     for block in sorted(distinct_blocks(), key=len, reverse=True):
-        chain = len(block) > 4  # on the whole, as each goes on with the one before
-        new = [one for one in block if chain or effective(one) not in done]
+        # In a chain each goes on with the one before, whatever shorter blocks have.
+        chain = len(block) > 4
+        new = [
+            one for one in block if effective(one) not in (elsewhere if chain else done)
+        ]
         done |= {effective(one) for one in new}
         needed = [one for one in block if one in new or any(feeds(one, n) for n in new)]
         left += [needed] if new else []

@@ -58,10 +58,20 @@ def test_progress_tells_what_is_done_and_how_far_it_is(
     assert said[-1][1] == 1.0
 
 
-def test_nothing_is_written_until_it_is_asked_for(
-    finding: Finding, case: tuple[Path, Path], tmp_path: Path
+def test_nothing_is_written_until_it_is_asked_for_and_then_nothing_simulated(
+    finding: Finding,
+    case: tuple[Path, Path],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     assert {path.name for path in case[0].parent.iterdir()} == {"arm.xml", "logs"}
+
+    def simulated(*_: object) -> None:
+        raise AssertionError("writing simulates")
+
+    arm = "rlco.gap.compare.arm.rollouts.ArmRollouts"
+    monkeypatch.setattr(f"{arm}.residuals", simulated)
+    monkeypatch.setattr(f"{arm}.traces", simulated)
     page = finding.write(tmp_path / "new" / "report", command="make it")
     text = page.read_text("utf-8")
     assert "make it" in text
@@ -81,19 +91,6 @@ def test_nothing_is_written_until_it_is_asked_for(
     assert within.mean() == pytest.approx(0.9, abs=0.04)
     with pytest.raises(OutputExistsError):
         finding.write(page.parent)
-
-
-def test_what_was_found_is_written_without_simulating_again(
-    finding: Finding, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def simulated(*_: object) -> None:
-        raise AssertionError("writing simulates")
-
-    arm = "rlco.gap.compare.arm.rollouts.ArmRollouts"
-    monkeypatch.setattr(f"{arm}.residuals", simulated)
-    monkeypatch.setattr(f"{arm}.traces", simulated)
-    finding.write(tmp_path)
-    assert (tmp_path / "report.html").exists()
 
 
 @pytest.mark.slow

@@ -10,12 +10,16 @@ from typing import Any
 
 import pytest
 
+from rlco.gap.demos.replay.plants import Plants
+from rlco.gap.model import load_model
+from rlco.physics.effects import AppliedEffect
 from rlco.physics.native.stepper import NativeStepper
 from rlco.physics.robosuite.faster.release import release
+from rlco.physics.robosuite.robosuite_api import ManipulationEnv
 from rlco.physics.robosuite.tabletop import Tabletop
 from rlco.physics.robosuite.tasks import make_plain
-from rlco.physics.spec.domain import SIM, STAND_IN
-from rlco.physics.tasks.named_task import check_domains
+from rlco.physics.spec.domain import SIM, STAND_IN, Domain
+from rlco.physics.tasks.named_task import _of_robosuite, check_domains
 from rlco.physics.tasks.push_cube import TASK
 
 Watch = list[weakref.ref[Any]]
@@ -25,18 +29,17 @@ Watch = list[weakref.ref[Any]]
 def made(monkeypatch: pytest.MonkeyPatch) -> Iterator[Watch]:
     """Watch the environments that are made, where no garbage is collected."""
     found: Watch = []
-    first = Tabletop.__init__
+    first = ManipulationEnv.__init__
 
-    def watched(env: Tabletop, *args: Any, **options: Any) -> None:
+    def watched(env: Any, *args: Any, **options: Any) -> None:
         first(env, *args, **options)
-        found.extend([weakref.ref(env), weakref.ref(env.sim)])
-        found.append(weakref.ref(env.robots[0]))
+        found.extend([weakref.ref(one) for one in (env, env.sim, env.robots[0])])
 
     def refuse() -> int:
         raise RuntimeError("the heap is searched")
 
     gc.collect()
-    monkeypatch.setattr(Tabletop, "__init__", watched)
+    monkeypatch.setattr(ManipulationEnv, "__init__", watched)
     monkeypatch.setattr(gc, "collect", refuse)
     gc.disable()
     yield found
@@ -59,10 +62,12 @@ def test_a_closed_environment_is_freed(
 def test_one_of_robosuites_own_is_freed(made: Watch) -> None:
     env = make_plain("Lift")
     env.reset()
-    made.extend([weakref.ref(env), weakref.ref(env.sim), weakref.ref(env.robots[0])])
     release(env)
     del env
     assert [ref() for ref in made] == [None] * 3
+
+
+DAMPING = AppliedEffect("viscous_damping", "joint4", {"damping": 40.0})
 
 
 @pytest.mark.parametrize(
@@ -70,11 +75,19 @@ def test_one_of_robosuites_own_is_freed(made: Watch) -> None:
     [
         lambda: NativeStepper(TASK, SIM, num_envs=2, threads=1),
         lambda: NativeStepper(TASK, STAND_IN, num_envs=2, threads=1),
+        lambda: Plants(TASK, STAND_IN),
+        lambda: load_model("robosuite:push_cube"),
+        lambda: load_model("robosuite:Lift"),
         lambda: check_domains("push_cube", [replace(STAND_IN, name="mine")]),
+        lambda: check_domains("robosuite:Lift", [Domain("damped", (DAMPING,))]),
+        lambda: _of_robosuite.__wrapped__("Stack"),
     ],
-    ids=["sim", "stand_in", "check_domains"],
+    ids=[
+        *("sim", "stand_in", "plants", "model", "model of robosuite's", "domains"),
+        *("domains of robosuite's", "description of robosuite's"),
+    ],
 )
-def test_what_a_model_was_read_from_is_freed(
+def test_what_was_made_to_be_read_is_freed(
     made: Watch, make: Callable[[], Any]
 ) -> None:
     kept = make()

@@ -35,12 +35,20 @@ def load_script() -> ModuleType:
     return module
 
 
-def test_a_checkpoint_is_loaded_co_trained_and_saved_back(tmp_path: Path) -> None:
+@pytest.fixture
+def script(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The script, with shorter episodes."""
+    module = load_script()
+    monkeypatch.setattr(module, "make_env", partial(module.make_env, horizon=8))
+    return module
+
+
+def test_a_checkpoint_is_loaded_co_trained_and_saved_back(
+    script: ModuleType, tmp_path: Path
+) -> None:
     source = tiny_with_statistics(tmp_path / "tiny")
     demos = record(tmp_path / "demos")
-    saved = load_script().co_train(
-        source, demos, tmp_path / "out", iterations=1, num_envs=2
-    )
+    saved = script.co_train(source, demos, tmp_path / "out", iterations=1, num_envs=2)
     before, after = (load_file(path / "model.safetensors") for path in (source, saved))
     assert before.keys() == after.keys()
     moved = {name for name in before if not torch.equal(before[name], after[name])}
@@ -49,9 +57,8 @@ def test_a_checkpoint_is_loaded_co_trained_and_saved_back(tmp_path: Path) -> Non
 
 
 def test_the_policy_learns_slowly_and_what_is_new_beside_it_fast(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    script = load_script()
     made = []
 
     class Seen(MasterWeightAdamW):
@@ -60,7 +67,6 @@ def test_the_policy_learns_slowly_and_what_is_new_beside_it_fast(
             made.append(self)
 
     monkeypatch.setattr(script, "MasterWeightAdamW", Seen)
-    monkeypatch.setattr(script, "make_env", partial(script.make_env, horizon=8))
     source = tiny_with_statistics(tmp_path / "tiny")
     demos = record(tmp_path / "demos")
     script.co_train(source, demos, tmp_path / "out", iterations=1, num_envs=2)
@@ -77,10 +83,9 @@ def test_the_policy_learns_slowly_and_what_is_new_beside_it_fast(
 
 
 def test_no_success_at_all_is_said_before_training(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    script: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    script = load_script()
-    sparse = partial(script.make_env, reward="sparse", horizon=8)
+    sparse = partial(script.make_env, reward="sparse")
     monkeypatch.setattr(script, "make_env", sparse)
     source = tiny_with_statistics(tmp_path / "tiny")
     demos = record(tmp_path / "demos")
@@ -92,7 +97,7 @@ def test_no_success_at_all_is_said_before_training(
 def test_stage_one_imitates_both_kinds_of_data(tmp_path: Path) -> None:
     source = tiny_with_statistics(tmp_path / "tiny")
     demos = record(tmp_path / "sim"), record(tmp_path / "real")
-    saved = load_script().imitate(source, *demos, tmp_path / "out", updates=30)
+    saved = load_script().imitate(source, *demos, tmp_path / "out", updates=20)
     texts = make_task("push_cube").instructions
 
     def error(folder: Path) -> float:

@@ -109,6 +109,7 @@ def test_a_file_to_evaluate_in_is_sim_with_its_effects(
     assert by_file == by_effects
 
 
+@pytest.mark.thorough
 def test_stage_one_is_evaluated_in_files(
     assets: Assets, damped: Path, tmp_path: Path
 ) -> None:
@@ -331,7 +332,9 @@ def test_a_file_whose_name_is_no_column_is_refused(
 # -- Runs of before ----------------------------------------------------------------
 
 
-@pytest.mark.parametrize("stage", ["sft", "rl_co"])
+@pytest.mark.parametrize(
+    "stage", ["sft", pytest.param("rl_co", marks=pytest.mark.thorough)]
+)
 def test_a_run_from_before_there_were_these_options_is_resumed(
     assets: Assets, tmp_path: Path, stage: str
 ) -> None:

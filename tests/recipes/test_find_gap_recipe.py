@@ -54,10 +54,17 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def out(case: list[str], tmp_path_factory: pytest.TempPathFactory) -> Path:
+def searched(
+    case: list[str], tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Path, list[str]]:
+    """Search once, without torch; return the folder and the lines that were printed."""
     folder = tmp_path_factory.mktemp("find_gap") / "out"
-    start("find_gap", *case, f"out={folder}", "threads=1")
-    return folder
+    return folder, without_torch(case, folder)
+
+
+@pytest.fixture
+def out(searched: tuple[Path, list[str]]) -> Path:
+    return searched[0]
 
 
 def test_what_was_hidden_is_found_and_written(out: Path) -> None:
@@ -149,18 +156,16 @@ def test_folders_above_the_report_are_not_left_behind_either(
 
 
 def test_the_disagreement_is_told_before_the_search_and_the_verdict_after(
-    capsys: Capture, case: list[str], tmp_path: Path
+    searched: tuple[Path, list[str]],
 ) -> None:
-    capsys.readouterr()
-    start("find_gap", *case, f"out={tmp_path / 'out'}", "threads=1")
-    lines = capsys.readouterr().err.splitlines()
+    folder, lines = searched
     assert "before any fit, the disagreement is" in lines
     told = lines[lines.index("before any fit, the disagreement is") + 1 :]
     assert "% in shoulder" in told[0]
     verdict = "Missing from the model: viscous damping at shoulder."
     assert verdict in told
     assert any("damping 0." in line for line in told[told.index(verdict) :])
-    assert told[-1] == f"report: {tmp_path / 'out' / 'report.html'}"
+    assert told[-1] == f"report: {folder / 'report.html'}"
 
 
 ONE_THREAD = {**os.environ, "OMP_NUM_THREADS": "1"}
@@ -168,7 +173,21 @@ ONE_THREAD = {**os.environ, "OMP_NUM_THREADS": "1"}
 
 def command(case: list[str], folder: Path) -> list[str]:
     script = str(RECIPES / "find_gap.py")
-    return [sys.executable, script, *case, f"out={folder}", "threads=1"]
+    less = ["threads=1", "film=false"]
+    return [sys.executable, script, *case, f"out={folder}", *less]
+
+
+def without_torch(case: list[str], folder: Path, *more: str) -> list[str]:
+    """Search in a process that fails if it imported torch; return what it printed."""
+    words = "import sys, runpy; sys.argv = sys.argv[1:]\n"
+    words += "runpy.run_path(sys.argv[0], run_name='__main__')\n"
+    words += "assert 'torch' not in sys.modules, 'torch was imported'"
+    program = [sys.executable, "-c", words, *command(case, folder)[1:], *more]
+    done = subprocess.run(
+        program, env=ONE_THREAD, stderr=subprocess.PIPE, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    return done.stderr.splitlines()
 
 
 def dragged(model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -176,15 +195,11 @@ def dragged(model: mujoco.MjModel, data: mujoco.MjData) -> None:
     data.qfrc_applied[1] = -0.25 * abs(data.qvel[1]) * data.qvel[1]
 
 
-def test_an_effect_of_ones_own_is_found_and_torch_is_not_needed(tmp_path: Path) -> None:
+def test_an_effect_of_ones_own_is_found(tmp_path: Path) -> None:
     folder = tmp_path / "out"
     case = write_log(tmp_path / "drag", TWO_LINKS, record(act=dragged))
     # A process of its own knows the effect by its file alone.
-    words = "import sys, runpy; sys.argv = sys.argv[1:]\n"
-    words += "runpy.run_path(sys.argv[0], run_name='__main__')\n"
-    words += "assert 'torch' not in sys.modules, 'torch was imported'"
-    program = [sys.executable, "-c", words, *command(case, folder)[1:]]
-    subprocess.run([*program, f"effects_code={DRAG}"], check=True, env=ONE_THREAD)
+    without_torch(case, folder, f"effects_code={DRAG}")
     (effect,) = json.loads((folder / "report.json").read_text())["effects"]
     assert (effect["name"], effect["target"]) == ("quadratic_drag", "elbow")
     assert effect["parameters"]["drag"]["value"] == pytest.approx(0.25, rel=0.1)

@@ -188,9 +188,10 @@ def _failures(
     where = f"in domain {domain.name!r}"
     if len(texts) == 1 < len(task.instructions):
         where += f" where it was to {next(iter(texts))!r}"
+    word = "episode" if len(failed) == 1 else "episodes"
     reason = (
         f"the expert of {task.name!r} solved only {len(tried) - len(failed)} of "
-        f"{len(tried)} episodes {where}; it failed in "
+        f"{len(tried)} episodes {where}; it failed in {word} "
         f"{format_indices(one.number for one in failed)} of seed {seed}"
     )
     if stopped := sum(one.stopped for one in failed):

@@ -84,7 +84,8 @@ def test_the_gap_shrinks_to_the_noise_on_recordings_that_were_not_fitted() -> No
     assert gap.after_heldout == pytest.approx(gap.noise_floor, rel=0.1)
 
 
-@pytest.mark.parametrize("hide", [None, pytest.param(_two, marks=pytest.mark.thorough)])
+@pytest.mark.thorough
+@pytest.mark.parametrize("hide", [None, _two])
 def test_a_slow_controller_is_found_alone_and_beside_others(hide: Hide | None) -> None:
     """Only the right period fits: one step of 4 ms away is worse than none."""
     held = np.zeros(2)

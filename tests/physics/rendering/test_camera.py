@@ -32,7 +32,11 @@ pytestmark = [NEEDS_GL, pytest.mark.slow]
 # -- Quality robosuite ------------------------------------------------------------
 
 
-@pytest.mark.parametrize("domain", [SIM, TURNED], ids=lambda d: d.name)
+@pytest.mark.parametrize(
+    "domain",
+    [pytest.param(SIM, marks=pytest.mark.thorough), TURNED],
+    ids=lambda d: d.name,
+)
 def test_robosuite_quality_equals_robosuites_own_observation(domain: Domain) -> None:
     env = make_robosuite("push_cube", domain=domain, seed=5, image_size=SIZE)
     model, data = scene(env)
