@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 log = logging.getLogger("rlco.training")
 
-#: Scenes beside those that are trained on, on which the error is measured.
+#: Scenes beside those that are trained on, on which the error is measured: so many, or
+#: as many as are trained on.
 HELD_OUT = 400
 #: Scenes of a step, and of a part when errors are measured.
 BATCH, PART = 64, 256
@@ -177,7 +178,8 @@ def _scenes(
             threads=options.threads,
         )
 
-    return draw(options.pretrain_scenes, 0), draw(HELD_OUT, 1)
+    scenes = options.pretrain_scenes
+    return draw(scenes, 0), draw(min(HELD_OUT, scenes), 1)
 
 
 def pretrain(

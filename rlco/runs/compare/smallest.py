@@ -17,10 +17,14 @@ _SHORT: dict[str, Any] = {
     "final_episodes": 1,
     "batch_size": 32,
     "iterations": 2,
-    "updates": 50,
+    "updates": 10,
+    "log_every": 10,
     "eval_every": 2,
     "eval_episodes": 1,
+    "curve_episodes": 1,
 }
+#: How many a script records itself, where its debug.yaml has them; elsewhere folders.
+_DEMOS = ("sim_demos", "real_demos", "heldout_demos")
 
 
 def smallest(experiment: Experiment) -> Experiment:
@@ -60,4 +64,5 @@ def _short(job: JobKind) -> JobKind:
         options["config"] = "debug"
     names = options.keys() | small.keys()
     options |= {name: value for name, value in _SHORT.items() if name in names}
+    options |= dict.fromkeys((name for name in _DEMOS if name in small), 1)
     return replace(job, options=options, minutes=0.1)
