@@ -6,6 +6,7 @@ counted starts in processes of its own.
 
 from __future__ import annotations
 
+import gc
 import importlib
 import logging
 import os
@@ -46,6 +47,9 @@ class ForkedProcesses:
         os.environ["OMP_NUM_THREADS"] = "1"
         for name in _HEAVY:
             importlib.import_module(name)
+        # What is imported stays: no fork looks through it for garbage, page by page.
+        gc.collect()
+        gc.freeze()
 
     def start(self, command: Sequence[str], log: Path, *, nice: int) -> int:
         """Start a script, `PYTHON SCRIPT OPTIONS`; return the process's number."""
