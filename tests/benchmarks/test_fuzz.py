@@ -9,7 +9,7 @@ from fuzz import attempt, whole_files
 from fuzz_files import READERS
 
 #: Damaged inputs of each reader.
-INPUTS = 3
+INPUTS = 6
 
 
 @pytest.mark.parametrize("name", READERS)

@@ -97,7 +97,7 @@ def test_no_success_at_all_is_said_before_training(
 def test_stage_one_imitates_both_kinds_of_data(tmp_path: Path) -> None:
     source = tiny_with_statistics(tmp_path / "tiny")
     demos = record(tmp_path / "sim"), record(tmp_path / "real")
-    saved = load_script().imitate(source, *demos, tmp_path / "out", updates=20)
+    saved = load_script().imitate(source, *demos, tmp_path / "out", updates=30)
     texts = make_task("push_cube").instructions
 
     def error(folder: Path) -> float:

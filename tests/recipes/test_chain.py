@@ -122,7 +122,7 @@ def test_a_run_that_was_cut_off_and_resumed_equals_one_that_was_not(
 def test_a_killed_process_is_resumed_to_the_same_metrics(
     inputs: dict[str, list[str]], tmp_path: Path
 ) -> None:
-    options = [*inputs["sft"], "updates=100", "log_every=10"]
+    options = [*inputs["sft"], "updates=400", "log_every=40"]
     options = [o for o in options if o not in ("updates=6", "log_every=2")]
     folder = tmp_path / "killed"
     process = subprocess.Popen(

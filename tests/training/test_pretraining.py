@@ -124,7 +124,7 @@ class Folder:
 
 
 def scenes_drawn(
-    seed: int, path: Path, monkeypatch: pytest.MonkeyPatch
+    seed: int, path: Path, monkeypatch: pytest.MonkeyPatch, *, scenes: int = 8
 ) -> list[TensorDict]:
     """Return the scenes that a run with a seed trains on, and is measured on."""
     drawn: list[TensorDict] = []
@@ -137,7 +137,11 @@ def scenes_drawn(
     monkeypatch.setattr("rlco.data.labelled_scenes.labelled_scenes", draw)
     monkeypatch.setattr("rlco.training.pretraining.HELD_OUT", 8)
     options = StageOneOptions(
-        seed=seed, image="dense", image_size=64, pretrain_scenes=8, pretrain_passes=1
+        seed=seed,
+        image="dense",
+        image_size=64,
+        pretrain_scenes=scenes,
+        pretrain_passes=1,
     )
     path.mkdir()
     run: Any = Folder(path)
@@ -156,6 +160,14 @@ def test_a_runs_seed_draws_its_scenes_and_others_to_measure_the_error_on(
         assert torch.equal(first[keys.STATE], second[keys.STATE])
     starts = [rows[keys.STATE][0] for rows in (*one, *other, *third)]
     assert len(torch.unique(torch.stack(starts), dim=0)) == len(starts) == 6
+
+
+@pytest.mark.parametrize(("scenes", "measured"), [(4, 4), (16, 8)])
+def test_the_error_is_measured_on_no_more_scenes_than_are_trained_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, scenes: int, measured: int
+) -> None:
+    drawn = scenes_drawn(0, tmp_path / "run", monkeypatch, scenes=scenes)
+    assert [len(rows) for rows in drawn] == [scenes, measured]
 
 
 def test_labels_are_those_of_the_task() -> None:
